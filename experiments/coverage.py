@@ -44,7 +44,7 @@ from prism_jax.envelope.calibration import (
     cells_needed,
     conformal_margin,
 )
-from prism_jax.envelope.carving import carve, view_of_cloud, view_of_depth
+from prism_jax.envelope.carving import CloudView, DepthView, carve
 from prism_jax.envelope.distance import Surfaces
 from prism_jax.envelope.recorded import seen_in
 from prism_jax.envelope.robot import on_triangles
@@ -190,9 +190,9 @@ def scored(
     if not tested:
         return Scored(scores, size, {}, np.zeros(0, bool), np.zeros(0, bool))
     frame, grid = cell.frame, _grid()
-    view = view_of_depth(frame.depth * DEPTH_SCALE, frame.depth > 0, frame.camera)
+    view = DepthView(frame.depth * DEPTH_SCALE, frame.camera)
     if kind == "cloud":
-        view = view_of_cloud(frame.partial, np.asarray(frame.camera.position))
+        view = CloudView(frame.partial, np.asarray(frame.camera.position))
     free = carve(grid, view).ravel()
     asked = np.random.default_rng(1).choice(np.prod(grid.shape), SAMPLE, replace=False)
     index = grid.index_of(np.concatenate([*cell.parts.values()]))

@@ -24,7 +24,7 @@ from experiments.run_folder import commit
 from experiments.scoring import print_and_write
 from prism_jax.cli.launch import launch
 from prism_jax.data.recordings import DEPTH_SCALE, RecordedCells
-from prism_jax.envelope.carving import Carving, carve, view_of_cloud, view_of_depth
+from prism_jax.envelope.carving import Carving, CloudView, DepthView, carve
 from prism_jax.envelope.voxels import Grid
 from prism_jax.evaluation.tables import table_lines
 from prism_jax.geometry.camera import Camera
@@ -93,10 +93,9 @@ def freed(
         intrinsics = np.array([[focal[0], 0, 319.5], [0, focal[1], 239.5], [0, 0, 1]])
         axes = np.array([[0, -1, 0], [0, 0, -1], [1, 0, 0]], float)
         camera = Camera(axes, np.zeros(3), intrinsics, 480, 640)
-        image = depth.reshape(480, 640), known.reshape(480, 640)
-        view = view_of_depth(*image, camera)
+        view = DepthView(depth.reshape(480, 640), camera)
     else:
-        view = view_of_cloud(depth[known, None] * rays[known], np.zeros(3))
+        view = CloudView(depth[known, None] * rays[known], np.zeros(3))
     return carve(grid, view, Carving(body=body)).ravel()
 
 
@@ -147,8 +146,8 @@ def bundled() -> dict[str, dict[str, float]]:
         depth, known = frame.depth * DEPTH_SCALE, frame.depth > 0
         cloud = points_from_depth(depth, known, frame.camera)
         views = {
-            "depth image": view_of_depth(depth, known, frame.camera),
-            "cloud": view_of_cloud(cloud, np.asarray(frame.camera.position)),
+            "depth image": DepthView(depth, frame.camera),
+            "cloud": CloudView(cloud, np.asarray(frame.camera.position)),
         }
         surface = grid.index_of(np.concatenate([cloud, frame.complete]))
         surface = np.unique(surface[surface >= 0])

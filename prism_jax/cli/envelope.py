@@ -150,6 +150,7 @@ class _Given(NamedTuple):
     bounds: io.Bounds | None
     robot: Linkage | None
     joints: Joints | None
+    carving: Carving
     library: Any  # models that are known; None without them
 
 
@@ -217,7 +218,7 @@ def make_reference(source: str) -> str:
             scans = map(scanner.complete, progress_bar(stream, total=len(stream)))
         else:
             scans = [_read(source, given)[0]]
-        points = reference_of(map(_still, scans), _carving())
+        points = reference_of(map(_still, scans), given.carving)
     write_bytes(output, vertices_bytes(points))
     return f"reference   {len(points):,} points\nwritten     {output}"
 
@@ -238,7 +239,7 @@ def envelope_of(source: str) -> dict[str, Any]:
     if set_aside(FLAGS.output_dir, (*NAMES, LINES, REPORT, "[0-9]" * 6)):
         place = pathlib.Path(FLAGS.output_dir) / PREVIOUS
         _say(f"the results of an earlier run are now in {place}")
-    given, carving = _given(), _carving()
+    given = _given()
     stream = scan = asked = reference = None
     left_out = 0  # of the points that are asked for
     with _timed(f"reading {source}", "read", seconds):
@@ -288,7 +289,7 @@ def envelope_of(source: str) -> dict[str, Any]:
         "query_not_finite": left_out,
         "alpha": alpha,
         "q": margin,
-        "carving": carving._asdict(),
+        "carving": given.carving._asdict(),
     }
     with _timed(f"loading the weights {FLAGS.weights}", "load", seconds):
         maker = enveloper.FrameEnveloper(
@@ -297,7 +298,7 @@ def envelope_of(source: str) -> dict[str, Any]:
             calibration=calibration,
             margin=margin,
             sensor=sensor_name(camera),
-            carving=carving,
+            carving=given.carving,
             eye=given.eye,
             asked=None if asked is None else asked.astype(np.float64),
             reference=reference,
@@ -345,12 +346,9 @@ def _given() -> _Given:
     eye = None
     if FLAGS.eye is not None:
         eye = parse_numbers("--eye", FLAGS.eye, 3, "give x,y,z")
+    carving = Carving(FLAGS.carving_margin, FLAGS.smallest_body)
     library = load_library(FLAGS.known, FLAGS.known_unit)
-    return _Given(eye, bounds, *known_robot(), library)
-
-
-def _carving() -> Carving:
-    return Carving(FLAGS.carving_margin, FLAGS.smallest_body)
+    return _Given(eye, bounds, *known_robot(), carving, library)
 
 
 def _opened(source: str, joints: Joints | None) -> tuple[Stream, Frame]:

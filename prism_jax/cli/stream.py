@@ -166,7 +166,7 @@ def follow(
 
     report = StreamReport()
     whole = False
-    came = end_as_interrupted()
+    end_as_interrupted()
     tell(f"{len(stream)} frames; the first run on a machine also compiles")
     try:
         bar = progress_bar(total=len(stream))
@@ -174,8 +174,6 @@ def follow(
         every: list[Any] = [*sinks, progress]
         run_stream(stream, completer, every, asked["pace"], report)
         whole = True
-        if came:  # where somebody dropped the exception
-            raise KeyboardInterrupt
     finally:
         summary = plain(_summary(asked, stream, report) | {"whole": whole})
         text = json.dumps(summary, indent=2, allow_nan=False)
@@ -222,19 +220,11 @@ def told_frames(summary: dict[str, Any]) -> str:
     return "\n".join(lines)
 
 
-def end_as_interrupted() -> list[int]:
-    """Has Ctrl-C and a signal to end break off the stream, so that all files are whole.
-    The list gets the signals that came."""
-    came: list[int] = []
-
-    def end(number: int, _: Any) -> None:
-        came.append(number)
-        raise KeyboardInterrupt
-
-    for number in (signal.SIGINT, signal.SIGTERM):
-        if signal.getsignal(number) != signal.SIG_IGN:
-            signal.signal(number, end)
-    return came
+def end_as_interrupted() -> None:
+    """Has a signal to end break off the stream as Ctrl-C does, so that all files are
+    whole."""
+    if signal.getsignal(signal.SIGTERM) != signal.SIG_IGN:
+        signal.signal(signal.SIGTERM, signal.default_int_handler)
 
 
 def run() -> None:

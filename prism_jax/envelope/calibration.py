@@ -45,8 +45,12 @@ def cell_score(truth: Float[np.ndarray, "N 3"], surfaces: Surfaces) -> float:
 
 
 def cells_needed(alpha: float) -> int:
-    """The least number of cells that a margin can be told from."""
-    return math.ceil((1.0 - check_alpha(alpha)) / alpha - _ROUNDING)
+    """The least number of cells that a margin can be told from. An alpha that is no
+    share that cells can tell raises InputError."""
+    if not 1e-9 < alpha < 1.0:
+        fault = f"{alpha:g} is not between 1e-9 and 1"
+        raise InputError("alpha", fault, "give a share of cells, such as 0.1")
+    return math.ceil((1.0 - alpha) / alpha - _ROUNDING)
 
 
 def conformal_margin(scores: Sequence[float], alpha: float) -> float:
@@ -68,14 +72,6 @@ def conformal_margin(scores: Sequence[float], alpha: float) -> float:
     return margin
 
 
-def check_alpha(alpha: float) -> float:
-    """`alpha` if it is a share that cells can tell, and not all; else InputError."""
-    if not 1e-9 < alpha < 1.0:
-        fault = f"{alpha:g} is not between 1e-9 and 1"
-        raise InputError("alpha", fault, "give a share of cells, such as 0.1")
-    return alpha
-
-
 @dataclasses.dataclass(frozen=True)
 class Setup:
     """What a margin holds for: anything else needs a calibration of its own."""
@@ -83,19 +79,6 @@ class Setup:
     weights: str  # sha256 of the file of weights
     sensor: str  # what the sensor is called
     settings: Mapping[str, Any]  # how scans are completed, as JSON has it
-
-    def differences(self, other: "Setup") -> list[str]:
-        """What is not the same, in words; the other's first."""
-        told = []
-        if self.weights != other.weights:
-            told.append(f"weights {other.weights[:12]}, not {self.weights[:12]}")
-        if self.sensor != other.sensor:
-            told.append(f"sensor {other.sensor!r}, not {self.sensor!r}")
-        for name in sorted({*self.settings, *other.settings}):
-            mine, theirs = self.settings.get(name), other.settings.get(name)
-            if mine != theirs:
-                told.append(f"{name} {theirs}, not {mine}")
-        return told
 
 
 @dataclasses.dataclass(frozen=True)
@@ -171,33 +154,37 @@ def read_calibration(path: str | os.PathLike) -> MarginCalibration:
     with parsing(path, "a valid calibration", _AGAIN, Exception):
         if content.get("format") != FORMAT:
             raise ValueError(f"format is not {FORMAT!r}")
-        return _from_dict(content)
+        least, most = map(float, content["extent"])
+        weights, sensor = str(content["weights_sha256"]), str(content["sensor"])
+        scores = [math.inf if one is None else float(one) for one in content["scores"]]
+        calibration = MarginCalibration(
+            setup=Setup(weights, sensor, {**content["settings"]}),
+            alpha=float(content["alpha"]),
+            cells=tuple(map(str, content["cells"])),
+            digests=tuple(map(str, content["digests"])),
+            scores=tuple(scores),
+            extent=(least, most),
+        )
+        if content["n"] != len(calibration.cells):
+            raise ValueError(f"n = {content['n']} is not the number of cells")
+        told, own = float(content["q"]), calibration.margin()
+        if not math.isclose(told, own, rel_tol=1e-9):
+            raise ValueError(f"q is {own:g} by its scores, not {told:g}")
+        return calibration
 
 
 def check_setup(
     calibration: MarginCalibration, runs: Setup, path: str | os.PathLike
 ) -> None:
     """Raises InputError about `path` if it was calibrated for anything else."""
-    found = runs.differences(calibration.setup)
-    if found:
-        raise InputError(path, f"calibrated for {'; '.join(found)}", _AGAIN)
-
-
-def _from_dict(content: Mapping[str, Any]) -> MarginCalibration:
-    least, most = map(float, content["extent"])
-    weights, sensor = str(content["weights_sha256"]), str(content["sensor"])
-    scores = [math.inf if one is None else float(one) for one in content["scores"]]
-    calibration = MarginCalibration(
-        setup=Setup(weights, sensor, {**content["settings"]}),
-        alpha=float(content["alpha"]),
-        cells=tuple(map(str, content["cells"])),
-        digests=tuple(map(str, content["digests"])),
-        scores=tuple(scores),
-        extent=(least, most),
-    )
-    if content["n"] != len(calibration.cells):
-        raise ValueError(f"n = {content['n']} is not the number of cells")
-    told = float(content["q"])
-    if not math.isclose(told, calibration.margin(), rel_tol=1e-9):
-        raise ValueError(f"q is {calibration.margin():g} by its scores, not {told:g}")
-    return calibration
+    made, told = calibration.setup, []
+    if made.weights != runs.weights:
+        told.append(f"weights {made.weights[:12]}, not {runs.weights[:12]}")
+    if made.sensor != runs.sensor:
+        told.append(f"sensor {made.sensor!r}, not {runs.sensor!r}")
+    for name in sorted({*made.settings, *runs.settings}):
+        theirs, mine = made.settings.get(name), runs.settings.get(name)
+        if mine != theirs:
+            told.append(f"{name} {theirs}, not {mine}")
+    if told:
+        raise InputError(path, f"calibrated for {'; '.join(told)}", _AGAIN)

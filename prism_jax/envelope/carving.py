@@ -1,6 +1,5 @@
 """Free space: what measured rays prove to be empty."""
 
-import dataclasses
 import math
 from typing import Any, NamedTuple
 
@@ -38,15 +37,16 @@ class Carving(NamedTuple):
     body: float = 0.02
 
 
-@dataclasses.dataclass(frozen=True)
 class DepthView:
     """A depth image: one measured ray a pixel, through its centre.
 
     Depths are along the camera's z, and infinite where nothing was measured.
     """
 
-    camera: Camera
-    depth: Float[np.ndarray, "H W"]
+    def __init__(self, depth: Float[np.ndarray, "H W"], camera: Camera):
+        """Nothing was measured where `depth` is not above zero."""
+        self.depth = np.where(depth > 0, depth, np.inf).astype(np.float64)
+        self.camera = camera
 
     def ranges(
         self, points: Float[np.ndarray, "N 3"], margin: float
@@ -58,28 +58,28 @@ class DepthView:
 
     def carve(self, grid: Grid, carving: Carving) -> Bool[np.ndarray, "X Y Z"]:
         """The voxels that are free; see `carve`."""
-        row, column, z = _corners_in_image(grid, self.camera)
-        (top, bottom), (left, right), (near, far) = _span(row), _span(column), _span(z)
-        which = np.flatnonzero(near > MIN_DEPTH)
-        first, last = (
-            np.stack([rows.ravel()[which], columns.ravel()[which]], axis=1).astype(int)
-            for rows, columns in ((top, left), (bottom, right))
+        corners = _corners_in_image(grid, self.camera)
+        least, most = (
+            of_eight(corners, (1, 2, 2, 2))[:, 1:, 1:, 1:].reshape(3, -1)
+            for of_eight in (ndimage.minimum_filter, ndimage.maximum_filter)
         )
+        which = np.flatnonzero(least[2] > MIN_DEPTH)
+        first, last = (ends[:2, which].T.astype(int) for ends in (least, most))
         pitch = 1.0 / np.diag(np.asarray(self.camera.intrinsics, np.float64))[:2].min()
         sure = proven(self.depth, pitch, carving.body, cells=False)
         free = np.zeros(grid.shape, bool)
-        least = _least(sure, first - 1, last + 1)
-        free.ravel()[which] = least > far.ravel()[which] + sum(carving)
+        shown = _least(sure, first - 1, last + 1)
+        free.ravel()[which] = shown > most[2, which] + sum(carving)
         return free
 
 
-@dataclasses.dataclass(frozen=True)
 class CloudView:
     """A cloud and the place of its sensor: rays that were measured, in any pattern, all
     around it or not."""
 
-    eye: Float[np.ndarray, "3"]
-    points: Float[np.ndarray, "N 3"]
+    def __init__(self, points: Float[np.ndarray, "N 3"], eye: Vector):
+        """Every point is what a ray from `eye` measured."""
+        self.points, self.eye = np.asarray(points, np.float64), np.asarray(eye, float)
 
     def ranges(
         self, points: Float[np.ndarray, "N 3"], margin: float
@@ -100,18 +100,18 @@ class CloudView:
         counts. What one size of cell proves is proven, so several are tried.
         """
         free = np.zeros(grid.shape, bool)
-        if len(self.points) == 0:
-            return free
         toward = 0.5 * (grid.lower + grid.upper) - self.eye
         # The poles, where nothing is proven, are away from the grid's middle.
         axes = np.roll(np.arange(3), 2 - np.abs(toward).argmin())
         heading = math.atan2(*toward[axes[1::-1]])
-        rays, distance = _angles((self.points - self.eye)[:, axes], heading)
+        rays, length = _angles((self.points - self.eye)[:, axes], heading)
         middles = (grid.centers() - self.eye)[:, axes]
         least, most, far = _voxels_around(middles, grid.voxel, heading, carving.body)
         reach = far.max(initial=0.0, where=np.isfinite(far))
         for level in range(LEVELS):
-            pitch = _cell(carving.body, reach / 2**level)
+            # The largest cells in which a ball is noticed that far away.
+            distance = max(reach / 2**level, carving.body)
+            pitch = carving.body / (2.0 * math.sqrt(2.0) * distance)
             first, last = (np.floor(ends / pitch).astype(int) for ends in (least, most))
             corner = first.min(axis=0) - BESIDE
             shape = last.max(axis=0) - corner + BESIDE
@@ -121,7 +121,7 @@ class CloudView:
             for turn in (-2 * np.pi, 0.0, 2 * np.pi):
                 cell = np.floor((rays + [0.0, turn]) / pitch).astype(int) - corner
                 held = ((cell >= 0) & (cell < shape)).all(axis=1)
-                np.minimum.at(image, tuple(cell[held].T), distance[held])
+                np.minimum.at(image, tuple(cell[held].T), length[held])
             sure = proven(image, pitch, carving.body, cells=True)
             shown = _least(sure, first - corner - 2, last - corner + 2)
             free |= (shown > far + sum(carving)).reshape(grid.shape)
@@ -129,18 +129,6 @@ class CloudView:
 
 
 View = DepthView | CloudView
-
-
-def view_of_depth(
-    depth: Float[np.ndarray, "H W"], mask: Bool[np.ndarray, "H W"], camera: Camera
-) -> DepthView:
-    """A depth image as its rays. `mask` says where anything was measured."""
-    return DepthView(camera, np.where(mask, depth, np.inf).astype(np.float64))
-
-
-def view_of_cloud(points: Float[np.ndarray, "N 3"], eye: Vector) -> CloudView:
-    """A cloud as the rays from its sensor at `eye`. Every point is one."""
-    return CloudView(np.asarray(eye, np.float64), np.asarray(points, np.float64))
 
 
 def carve(
@@ -255,11 +243,6 @@ def proven(
     return shown[1:-1, 1:-1]
 
 
-def _cell(body: float, distance: float) -> float:
-    """The angle of the largest cells in which a ball is noticed at a distance."""
-    return body / (2.0 * math.sqrt(2.0) * max(distance, body))
-
-
 def _angles(
     rays: Float[np.ndarray, "N 3"], heading: float
 ) -> tuple[Float[np.ndarray, "N 2"], Float[np.ndarray, " N"]]:
@@ -292,9 +275,7 @@ def _voxels_around(
     return least, np.stack([high, azimuth + width], axis=1), far
 
 
-def _corners_in_image(
-    grid: Grid, camera: Camera
-) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+def _corners_in_image(grid: Grid, camera: Camera) -> Float[np.ndarray, "3 X1 Y1 Z1"]:
     """Pixel row, pixel column and depth of every corner of every voxel."""
     steps = [np.arange(count + 1) * grid.voxel for count in grid.shape]
     corners = np.stack(np.meshgrid(*steps, indexing="ij"), axis=-1).reshape(-1, 3)
@@ -304,18 +285,8 @@ def _corners_in_image(
     z = in_camera[:, 2]
     image = in_camera @ np.asarray(camera.intrinsics, np.float64).T
     pixels = np.floor(image[:, :2] / np.where(z > MIN_DEPTH, z, 1.0)[:, None] + 0.5)
-    shape = tuple(count + 1 for count in grid.shape)
-    return tuple(values.reshape(shape) for values in (pixels[:, 1], pixels[:, 0], z))  # pyright: ignore
-
-
-def _span(corners: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """The least and the largest value at the eight corners of each voxel."""
-    least = largest = corners
-    for axis in range(3):
-        low, high = np.moveaxis(least, axis, 0), np.moveaxis(largest, axis, 0)
-        least = np.moveaxis(np.minimum(low[1:], low[:-1]), 0, axis)
-        largest = np.moveaxis(np.maximum(high[1:], high[:-1]), 0, axis)
-    return least, largest
+    found = np.stack([pixels[:, 1], pixels[:, 0], z])
+    return found.reshape(3, *(count + 1 for count in grid.shape))
 
 
 def _least(

@@ -62,9 +62,6 @@ class Surfaces:
         if len(together):
             self._tree = KDTree(together, LEAF, False, balanced_tree=False)
 
-    def __len__(self) -> int:
-        return sum(map(len, self.points.values()))
-
     def distance(
         self, points: Float[np.ndarray, "N 3"], margin: float = 0.0
     ) -> tuple[Float64[np.ndarray, " N"], Int8[np.ndarray, " N"]]:
@@ -90,14 +87,13 @@ class Envelope:
     margin: float
 
     @functools.cached_property
-    def _shell(self) -> KDTree | None:
+    def _shell(self) -> KDTree:
         """Middles of the voxels that are not free and have a free neighbour, as has
         whatever is nearest to a free one; the grid's outside among them."""
         taken = np.pad(self.state != FREE, 1, constant_values=True)
         shell = taken & binary_dilation(~taken, _TOUCHING)
         steps = np.argwhere(shell) - 1
-        middles = self.grid.lower + self.grid.voxel * (steps + 0.5)
-        return KDTree(middles) if len(middles) else None
+        return KDTree(self.grid.lower + self.grid.voxel * (steps + 0.5))
 
     def query(self, points: Float[np.ndarray, "N 3"]) -> Distances:
         """Both distances of points in the grid's frame; of any number of them.
@@ -108,19 +104,15 @@ class Envelope:
         if not np.isfinite(points).all():
             raise InputError("points", "some points are not finite", "remove them")
         surface, kind = self.surfaces.distance(points, self.margin)
-        return Distances(self.to_not_free(points), surface, kind)
-
-    def to_not_free(
-        self, points: Float[np.ndarray, "N 3"]
-    ) -> Float64[np.ndarray, " N"]:
-        """`Distances.not_free`."""
-        index = self.grid.index_of(points)
-        away = np.zeros(len(points))
+        index, not_free = self.grid.index_of(points), np.zeros(len(points))
         free = np.nonzero((index >= 0) & (self.state.ravel()[index] == FREE))[0]
+        if len(free):
+            not_free[free] = self._from_free(points[free])
+        return Distances(not_free, surface, kind)
+
+    def _from_free(self, asked: Float[np.ndarray, "N 3"]) -> Float64[np.ndarray, " N"]:
+        """`Distances.not_free` of points in free voxels."""
         shell = self._shell
-        if len(free) == 0 or shell is None:
-            return away
-        asked = points[free]
         neighbors = min(NUM_BOXES, shell.n)
         apart, rows = shell.query(asked, k=[*range(1, neighbors + 1)])  # pyright: ignore
         boxes = self._to_boxes(asked[:, None], shell.data[rows]).min(axis=1)
@@ -131,8 +123,7 @@ class Envelope:
             for row in np.nonzero(apart[:, -1] < enough)[0]:
                 near = shell.query_ball_point(asked[row], enough[row])
                 boxes[row] = self._to_boxes(asked[row], shell.data[near]).min()
-        away[free] = boxes
-        return away
+        return boxes
 
     def _to_boxes(self, points: np.ndarray, middles: np.ndarray) -> np.ndarray:
         """Distances from voxels by their middles, their last axis."""
@@ -147,8 +138,25 @@ class Envelope:
 
     @functools.cached_property
     def not_free_field(self) -> Float64[np.ndarray, "X Y Z"]:
-        """`Distances.not_free` of every voxel's middle."""
-        return self.grid.voxel * box_distances(self.state != FREE)
+        """`Distances.not_free` of every voxel's middle; all beyond the border are not
+        free.
+
+        Exact, one axis after the other: a box is as far as its nearest faces are along
+        each (Felzenszwalb & Huttenlocher 2012, "Distance transforms of sampled
+        functions").
+        """
+        squares = np.pad(np.where(self.state != FREE, 0.0, np.inf), 1)
+        # From the border no voxel is farther than this.
+        farthest = min(squares.shape) // 2 + 1
+        for axis in range(3):
+            before = np.moveaxis(squares, axis, 0)
+            least = before.copy()
+            for offset in range(1, min(farthest, len(before) - 1) + 1):
+                cost = (offset - 0.5) ** 2
+                np.minimum(least[offset:], before[:-offset] + cost, out=least[offset:])
+                np.minimum(least[:-offset], before[offset:] + cost, out=least[:-offset])
+            squares = np.moveaxis(least, 0, axis)
+        return self.grid.voxel * np.sqrt(squares[1:-1, 1:-1, 1:-1])
 
     @functools.cached_property
     def taken(self) -> Bool[np.ndarray, "X Y Z"]:
@@ -167,24 +175,3 @@ class Envelope:
         volumes["not_free"] = float((counts.sum() - counts[FREE]) * cube)
         volumes["envelope"] = float(self.taken.sum() * cube)
         return volumes
-
-
-def box_distances(taken: Bool[np.ndarray, "X Y Z"]) -> Float64[np.ndarray, "X Y Z"]:
-    """How far the middle of each voxel is from the nearest one that is taken, as a box,
-    in voxels; all beyond the border are taken.
-
-    Exact, one axis after the other: a box is as far as its nearest faces are along each
-    (Felzenszwalb & Huttenlocher 2012, "Distance transforms of sampled functions").
-    """
-    squares = np.pad(np.where(taken, 0.0, np.inf), 1)
-    # From the border no voxel is farther than this.
-    farthest = min(squares.shape) // 2 + 1
-    for axis in range(3):
-        before = np.moveaxis(squares, axis, 0)
-        least = before.copy()
-        for offset in range(1, min(farthest, len(before) - 1) + 1):
-            cost = (offset - 0.5) ** 2
-            np.minimum(least[offset:], before[:-offset] + cost, out=least[offset:])
-            np.minimum(least[:-offset], before[offset:] + cost, out=least[:-offset])
-        squares = np.moveaxis(least, 0, axis)
-    return np.sqrt(squares[1:-1, 1:-1, 1:-1])

@@ -39,7 +39,7 @@ def envelope_files(
     the STL is, which is added to it."""
     mesh = envelope_mesh(envelope)
     origin = stl_origin(envelope)
-    summary["stl"] = {"triangles": len(mesh.faces), "origin": origin.tolist()}
+    summary["stl"] = {"triangles": len(mesh), "origin": origin.tolist()}
     page = envelope_page(envelope, summary, camera, up)
     text = json.dumps(summary, indent=2, allow_nan=False)
     contents = (

@@ -1,10 +1,9 @@
 """An envelope as a closed surface: the faces of its voxels."""
 
 import struct
-from typing import NamedTuple
 
 import numpy as np
-from jaxtyping import Bool, Float, Float64, Int
+from jaxtyping import Bool, Float, Float64
 
 from prism_jax.envelope.distance import Envelope
 
@@ -13,18 +12,11 @@ FARTHEST = 32_768
 is no coarser than 1/256 of a voxel up to there."""
 
 
-class Mesh(NamedTuple):
-    """Triangles, their corners counted counter-clockwise from outside."""
-
-    vertices: Float64[np.ndarray, "V 3"]
-    faces: Int[np.ndarray, "F 3"]
-
-
-def envelope_mesh(envelope: Envelope) -> Mesh:
+def envelope_mesh(envelope: Envelope) -> Float64[np.ndarray, "F 3 3"]:
     """The closed surface of the envelope's voxels, in its frame; empty without any.
 
-    It holds them and those that `without_contacts` adds, and nothing else. Each edge is
-    shared by two triangles.
+    Corners of triangles, counter-clockwise from outside; two triangles share each edge.
+    It holds the voxels and those that `without_contacts` adds, and nothing else.
     """
     grid = envelope.grid
     inside = without_contacts(envelope.taken).astype(np.int8)
@@ -36,12 +28,8 @@ def envelope_mesh(envelope: Envelope) -> Mesh:
         steps = np.diff(inside, axis=axis, prepend=0, append=0)
         squares.append(np.argwhere(steps < 0)[:, None] + ring)
         squares.append(np.argwhere(steps > 0)[:, None] + ring[::-1])
-    corners = np.concatenate(squares)[:, [0, 1, 2, 0, 2, 3]].reshape(-1, 3)
-    lattice = tuple(count + 1 for count in grid.shape)
-    number = np.ravel_multi_index(tuple(corners.T), lattice)
-    used, faces = np.unique(number, return_inverse=True)
-    steps = np.stack(np.unravel_index(used, lattice), axis=1)
-    return Mesh(grid.lower + grid.voxel * steps, faces.reshape(-1, 3))
+    corners = np.concatenate(squares)[:, [0, 1, 2, 0, 2, 3]].reshape(-1, 3, 3)
+    return grid.lower + grid.voxel * corners
 
 
 def without_contacts(taken: Bool[np.ndarray, "X Y Z"]) -> Bool[np.ndarray, "X Y Z"]:
@@ -64,9 +52,11 @@ def without_contacts(taken: Bool[np.ndarray, "X Y Z"]) -> Bool[np.ndarray, "X Y 
     return filled
 
 
-def stl_bytes(mesh: Mesh, origin: Float[np.ndarray, "3"], note: str) -> bytes:
+def stl_bytes(
+    mesh: Float[np.ndarray, "F 3 3"], origin: Float[np.ndarray, "3"], note: str
+) -> bytes:
     """A binary STL, relative to `origin`; `note` is told in its header."""
-    corners = (mesh.vertices - origin).astype("<f4")[mesh.faces]
+    corners = (mesh - origin).astype("<f4")
     ahead = corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]
     normals = np.cross(*ahead).astype(np.float64)
     normals /= np.linalg.norm(normals, axis=1, keepdims=True)

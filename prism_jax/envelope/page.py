@@ -57,28 +57,23 @@ def envelope_page(
     names = [cloud.name for panel in panels for cloud in panel.clouds]
     for trace, name in zip(figure.data, names, strict=True):
         trace.meta = {"cloud": name}
-    volumes = summary["volumes"].items()
+    volumes, num_cells = summary["volumes"].items(), summary["calibration"]["n"]
+    promise = (
+        f"Surfaces are inflated by q = {number(summary['q'])} m, calibrated on "
+        f"{num_cells} cells: of another cell of the same population, the inflated "
+        "surfaces hold all of what the recordings call the true surface with a "
+        f"probability of at least {100 * (1 - summary['alpha']):.3g} %. Other cells "
+        "have no such guarantee."
+    )
     return render(
         "envelope.html",
         summary=summary,
-        promise=promise(summary),
+        promise=promise,
         toggles=[(name, css[name]) for name in STATES if name in names],
         clouds=clouds_html(figure),
         max_shown=f"{MAX_SHOWN_POINTS:,}",
         volumes=[(k.replace("_", " "), f"{number(v)} m3") for k, v in volumes],
         details=_details(summary),
-    )
-
-
-def promise(summary: Mapping[str, Any]) -> str:
-    """What the margin is, and what it was measured on."""
-    told, alpha = summary["calibration"], summary["alpha"]
-    return (
-        f"Surfaces are inflated by q = {number(summary['q'])} m, calibrated on "
-        f"{told['n']} cells: of another cell of the same population, the inflated "
-        "surfaces hold all of what the recordings call the true surface with a "
-        f"probability of at least {100 * (1 - alpha):.3g} %. Other cells have no such "
-        "guarantee."
     )
 
 

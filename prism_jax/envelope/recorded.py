@@ -9,7 +9,7 @@ import tqdm
 
 from prism_jax.data.recordings import DEPTH_SCALE, RecordedCells, RecordedFrame
 from prism_jax.envelope.calibration import MarginCalibration, cell_score
-from prism_jax.envelope.carving import Carving, check_robot, view_of_depth
+from prism_jax.envelope.carving import Carving, DepthView, check_robot
 from prism_jax.envelope.robot import joints_from_dict, robot_surface
 from prism_jax.envelope.surfaces import Method, Seen, see, sensor_name
 from prism_jax.io.clouds import inside
@@ -41,7 +41,7 @@ def calibrate_on(
     InputError.
     """
     scores: dict[str, float] = defaultdict(float)
-    digests: dict[str, list[str]] = defaultdict(list)
+    whose: dict[str, str] = {}  # each frame's sequence, by the frame's digest
     sensors, sizes = set(), []
     for index in tqdm.trange(len(cells), desc="frames", disable=None):
         sequence, name = cells.frames[index]
@@ -53,29 +53,27 @@ def calibrate_on(
             held |= {} if joints.base is None else {"base": joints.base}
             posed = joints_from_dict(held, place, based=True)
             surface = robot_surface(robot, *posed, path=place)
-            metres, known = frame.depth * DEPTH_SCALE, frame.depth > 0
-            view = view_of_depth(metres, known, frame.camera)
+            view = DepthView(frame.depth * DEPTH_SCALE, frame.camera)
             check_robot(view, surface, Carving())
         points, seen, truth = seen_in(frame, completer, method, surface, place)
         score = cell_score(truth, seen.surfaces())
         scores[sequence] = max(scores[sequence], score)
         sizes.append(float(np.linalg.norm(np.ptp(points, axis=0))))
-        digest = hashlib.sha256(frame.depth.tobytes() + frame.partial.tobytes())
-        digests[sequence].append(digest.hexdigest())
+        data = frame.depth.tobytes() + frame.partial.tobytes()
+        other = whose.setdefault(hashlib.sha256(data).hexdigest(), sequence)
+        if other != sequence:
+            fault = f"{sequence} has a frame of {other}"
+            raise InputError(cells.root, fault, "record each cell once")
     if len(sensors) > 1:
         fault = f"frames of several sensors: {'; '.join(sorted(map(str, sensors)))}"
         raise InputError(cells.root, fault, "calibrate each sensor separately")
-    whose: dict[str, str] = {}
-    for sequence, frames in digests.items():
-        for frame in frames:
-            if whose.setdefault(frame, sequence) != sequence:
-                fault = f"{sequence} has a frame of {whose[frame]}"
-                raise InputError(cells.root, fault, "record each cell once")
+    # The digests in falling order, so that each cell's least one stays.
+    least = {whose[digest]: digest for digest in sorted(whose, reverse=True)}
     return MarginCalibration(
         method.setup(weights, str(sensors.pop())),
         alpha,
         tuple(scores),
-        tuple(min(frames) for frames in digests.values()),
+        tuple(least[sequence] for sequence in scores),
         tuple(scores.values()),
         (min(sizes), max(sizes)),
     )

@@ -53,8 +53,8 @@ class Linkage:
         what is below the link `root`, whose pose in the robot's frame is `mount`, by
         default the identity. `tools` are further meshes by the links that carry them,
         in their frames."""
-        path = pathlib.Path(path)
-        self.path = path
+        trimesh = require("trimesh", _EXTRA)
+        path = self.path = pathlib.Path(path)
         robot, self._followed = _parse(path)
         links, self.chain = _subtree(robot, root, path)
         self.moving = [joint for joint in self.chain if moves(joint)]
@@ -63,11 +63,15 @@ class Linkage:
         self.mount = np.eye(4) if mount is None else np.array(mount, np.float64)
         self.meshes, self._link_frames = [], []
         for index, link in enumerate(links):
-            shapes = _link_shapes(link, path)
+            # What is seen of it, or where the file shows nothing, what may be touched.
+            told = link.visuals or link.collisions or []
+            shapes = [_shape_mesh(shape, path) for shape in told]
             if tools and link.name in tools:
                 shapes.append(tools[link.name])
             if shapes:
-                self.meshes.append(_joined(shapes))
+                parts = [mesh.vertices for mesh in shapes], [m.faces for m in shapes]
+                whole = trimesh.util.append_faces(*parts)
+                self.meshes.append(trimesh.Trimesh(*whole, process=False))
                 self._link_frames.append(index)
         self.link_names = tuple(self.frames[index] for index in self._link_frames)
         if not self.meshes:
@@ -198,40 +202,26 @@ def _motion(joint: Any, value: Float[np.ndarray, " P"]) -> Float64[np.ndarray, "
     return motion
 
 
-def _joined(meshes: list[Any]) -> Any:
-    """The meshes as one, their triangles in order."""
-    trimesh = require("trimesh", _EXTRA)
-    parts = [mesh.vertices for mesh in meshes], [mesh.faces for mesh in meshes]
-    return trimesh.Trimesh(*trimesh.util.append_faces(*parts), process=False)
-
-
-def _link_shapes(link: Any, path: pathlib.Path) -> list[Any]:
-    """What is seen of a link, or where the file shows nothing, what may be touched."""
-    placed = []
-    for shape in link.visuals or link.collisions or []:
-        mesh = _shape_mesh(shape.geometry, path)
-        if shape.origin is not None:
-            mesh.apply_transform(shape.origin)
-        placed.append(mesh)
-    return placed
-
-
-def _shape_mesh(geometry: Any, path: pathlib.Path) -> Any:
-    trimesh = require("trimesh", _EXTRA)
+def _shape_mesh(shape: Any, path: pathlib.Path) -> Any:
+    trimesh, geometry = require("trimesh", _EXTRA), shape.geometry
     if geometry.box is not None:
-        return trimesh.creation.box(geometry.box.size)
-    if geometry.cylinder is not None:
+        mesh = trimesh.creation.box(geometry.box.size)
+    elif geometry.cylinder is not None:
         cylinder = geometry.cylinder
-        return trimesh.creation.cylinder(cylinder.radius, cylinder.length, sections=24)
-    if geometry.sphere is not None:
-        return trimesh.creation.uv_sphere(geometry.sphere.radius, count=(16, 16))
-    file = named_file(geometry.mesh.filename or "", path)
-    if file is None:
-        raise InputError(path, f"no such mesh {geometry.mesh.filename!r}", REMEDY)
-    vertices, faces = read_mesh(file)
-    if geometry.mesh.scale is not None:
-        vertices = vertices * geometry.mesh.scale
-    return trimesh.Trimesh(vertices, faces, process=False)
+        mesh = trimesh.creation.cylinder(cylinder.radius, cylinder.length, sections=24)
+    elif geometry.sphere is not None:
+        mesh = trimesh.creation.uv_sphere(geometry.sphere.radius, count=(16, 16))
+    else:
+        file = named_file(geometry.mesh.filename or "", path)
+        if file is None:
+            raise InputError(path, f"no such mesh {geometry.mesh.filename!r}", REMEDY)
+        vertices, faces = read_mesh(file)
+        if geometry.mesh.scale is not None:
+            vertices = vertices * geometry.mesh.scale
+        mesh = trimesh.Trimesh(vertices, faces, process=False)
+    if shape.origin is not None:
+        mesh.apply_transform(shape.origin)
+    return mesh
 
 
 @np.errstate(all="ignore")

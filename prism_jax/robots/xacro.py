@@ -39,9 +39,11 @@ _ELEMENT = 1000  # letters that an element counts for
 
 def plain_urdf(path: pathlib.Path) -> ElementTree.Element:
     """A xacro file's robot as URDF, all arguments at their defaults."""
-    expansion = _Expansion(path)
+    expansion, source = _Expansion(path), robot_xml(path)
+    robot = ElementTree.Element("robot", source.attrib)
     try:
-        return expansion.robot()
+        robot.extend(expansion.children(source, {"pi": math.pi}))
+        return robot
     except InputError:
         raise
     except (ValueError, RecursionError) as error:
@@ -84,16 +86,10 @@ class _Expansion:
         self._arguments: dict[str, str] = {}
         self._macros: dict[str, ElementTree.Element] = {}
 
-    def robot(self) -> ElementTree.Element:
-        """The whole of it."""
-        source = robot_xml(self.path)
-        robot = ElementTree.Element("robot", source.attrib)
-        robot.extend(self._children(source, {"pi": math.pi}))
-        return robot
-
-    def _children(
+    def children(
         self, element: ElementTree.Element, names: dict[str, Any]
     ) -> list[ElementTree.Element]:
+        """The elements below one, as they are written out."""
         written = []
         for child in element:
             self._count(_ELEMENT)
@@ -107,7 +103,7 @@ class _Expansion:
                 child.tag, {k: self._text(v, names) for k, v in child.attrib.items()}
             )
             copy.text = child.text and self._text(child.text, names)
-            copy.extend(self._children(child, names))
+            copy.extend(self.children(child, names))
             written.append(copy)
         return written
 
@@ -128,7 +124,7 @@ class _Expansion:
             elif tag in ("if", "unless"):
                 holds = self._value(given["value"], names)
                 if (holds in (True, "true", "True", 1)) == (tag == "if"):
-                    return self._children(element, names)
+                    return self.children(element, names)
             elif tag in self._macros:
                 return self._called(self._macros[tag], given, names)
             else:
@@ -168,7 +164,7 @@ class _Expansion:
         if self._depth == _DEPTH:
             raise ValueError("macros are nested too deeply")
         self._depth += 1
-        written = self._children(element, names)
+        written = self.children(element, names)
         self._depth -= 1
         return written
 

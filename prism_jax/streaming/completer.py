@@ -19,7 +19,7 @@ from prism_jax.io.ply import COMPLETED, KNOWN, OBSERVED
 from prism_jax.io.streams.frame import Frame
 from prism_jax.io.streams.sinks import Labelled
 from prism_jax.preprocessing.observation import compile_sampling
-from prism_jax.streaming.observer import FrameObserver, LastFound
+from prism_jax.streaming.observer import FrameObserver
 
 
 @dataclasses.dataclass(frozen=True)
@@ -50,6 +50,7 @@ class CompletedFrame:
         return Labelled(number, self.timestamp, self.points, self.label, *about)
 
 
+@dataclasses.dataclass(kw_only=True, eq=False)
 class FrameCompleter(FrameObserver):
     """Completes frames as `Completer.complete` completes scans, and nothing else: no
     verdict, no depth map and, unless `density` asks for it, no resampling.
@@ -59,22 +60,16 @@ class FrameCompleter(FrameObserver):
     predicted within its margin. The rest is as for `FrameObserver`.
     """
 
-    def __init__(
-        self,
-        completer: Completer,
-        *,
-        adapt: bool = False,
-        density: float = 0.0,
-        background: Background = "unknown",
-        poses: int = 1,
-        **observed: Any,
-    ):
-        super().__init__(**observed)
-        self.options = CompletionOptions(adapt, "z", density, background)
-        self._completer = completer
-        if completer.config.model.poses != poses:
-            self._completer = completer.in_poses(poses)
-        self._last = LastFound()
+    completer: Completer = dataclasses.field(kw_only=False)
+    adapt: bool = False
+    density: float = 0.0
+    background: Background = "unknown"
+    poses: int = 1
+
+    def __post_init__(self):
+        self.options = CompletionOptions(self.adapt, "z", self.density, self.background)
+        if self.completer.config.model.poses != self.poses:
+            self.completer = self.completer.in_poses(self.poses)
 
     def complete(self, frame: Frame) -> CompletedFrame:
         """The frame completed. One that has too little raises InputError."""
@@ -83,18 +78,18 @@ class FrameCompleter(FrameObserver):
         if self.robot is not None:
             check_cloud(points, "the frame without its robot")
         options = dataclasses.replace(self.options, up=up)
-        task = self._completer.task(points, frame.camera, None, around, options)
+        task = self.completer.task(points, frame.camera, None, around, options)
         observed = time.perf_counter()
-        completion, seconds = self._completer.run(task, options)
+        completion, seconds = self.completer.run(task, options)
         ran = time.perf_counter()
         joined = join(task, completion.points, options)
         label = np.where(joined.observed, OBSERVED, COMPLETED).astype(np.uint8)
         points, known = joined.points, None
-        if self._completer.known is not None:
+        if self.completer.known is not None:
             workspace = task.seen.workspace
             given = workspace.from_unit(np.asarray(completion.points)), options
-            found = self._completer.recognise(task, *given, self._last.found)
-            known = self._last.follow(found)
+            found = self.completer.recognise(task, *given, self.found)
+            known = self.follow(found)
             if found.model is not None:
                 added = workspace.from_unit(of_model(task, options, found)[0])
                 measured = points[joined.observed]
@@ -121,7 +116,7 @@ class FrameCompleter(FrameObserver):
     def warm_up(self, frame: Frame) -> CompletedFrame:
         """The frame completed, and all compiled for others of at most as many points.
         Nothing is compiled then while frames are completed, unless one is larger."""
-        num_points = self._completer.config.model.backbone.num_points
+        num_points = self.completer.config.model.backbone.num_points
         compile_sampling(num_points, len(frame.points))
         return super().warm_up(frame)
 

@@ -11,13 +11,13 @@ from jaxtyping import Float
 from prism_jax.envelope.calibration import MarginCalibration
 from prism_jax.envelope.carving import (
     Carving,
+    CloudView,
+    DepthView,
     View,
     carve,
     check_agreement,
     check_conflicts,
     check_robot,
-    view_of_cloud,
-    view_of_depth,
 )
 from prism_jax.envelope.distance import Distances, Envelope
 from prism_jax.envelope.reference import check_reference
@@ -27,7 +27,7 @@ from prism_jax.envelope.voxels import Grid, label
 from prism_jax.geometry.camera import Camera, Vector
 from prism_jax.io.errors import InputError
 from prism_jax.io.streams.frame import Frame
-from prism_jax.streaming.observer import FrameObserver, LastFound
+from prism_jax.streaming.observer import FrameObserver
 
 AROUND = 10
 """Voxels beyond the inflated surfaces that a grid reaches to, unless it is given."""
@@ -57,8 +57,8 @@ class Scanned:
         if self.camera is None:
             raise unplaced("the cloud")
         if self.depth is not None:
-            return view_of_depth(self.depth, self.depth > 0, self.camera)
-        return view_of_cloud(self.everything, np.asarray(self.camera.position))
+            return DepthView(self.depth, self.camera)
+        return CloudView(self.everything, np.asarray(self.camera.position))
 
 
 @dataclasses.dataclass(frozen=True)
@@ -152,7 +152,6 @@ class FrameEnveloper(FrameScanner):
 
     def __post_init__(self):
         self.robot_margin = self.method.robot_margin
-        self._last = LastFound()
 
     def complete(self, frame: Frame) -> MadeEnvelope:
         """The envelope of a frame. One that has too little raises InputError."""
@@ -194,5 +193,5 @@ class FrameEnveloper(FrameScanner):
         envelope.taken  # noqa: B018  (kept, and part of the time that this takes)
         done = time.perf_counter()
         seconds = {"complete": completed - start, "envelope": done - completed}
-        known = self._last.follow(seen.known)
+        known = self.follow(seen.known)
         return MadeEnvelope(scan, seen, envelope, query, shown, known, seconds)

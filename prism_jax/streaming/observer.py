@@ -44,20 +44,6 @@ class Observed(NamedTuple):
     rows: Int[np.ndarray, " N"]
 
 
-@dataclasses.dataclass
-class LastFound:
-    """The known model in the last frame that held one."""
-
-    found: Any = None  # a `prism_jax.registration.library.Found`
-
-    def follow(self, found: Any) -> dict[str, Any] | None:
-        """What `StreamReport` says of the model in the next frame, if it is one."""
-        if found is None or found.model is None:
-            return None
-        moved, self.found = found.moved(self.found), found
-        return {**found.told(), "refused": {}, "moved": moved}
-
-
 @dataclasses.dataclass(kw_only=True, eq=False)
 class FrameObserver(abc.ABC):
     """Frames of one sensor as scans, whatever is made of each.
@@ -73,6 +59,8 @@ class FrameObserver(abc.ABC):
     up: str | Vector | None = None
     robot: Linkage | None = None
     robot_margin: float = ROBOT_MARGIN
+    # The known model in the last frame that held one, as a `Found` of its library.
+    found: Any = dataclasses.field(default=None, init=False)
 
     @abc.abstractmethod
     def complete(self, frame: Frame) -> Any:
@@ -105,6 +93,13 @@ class FrameObserver(abc.ABC):
         points = points[~own]
         up = self._up(frame, points)
         return Observed(points, robot, up, around, rows[~own])
+
+    def follow(self, found: Any) -> dict[str, Any] | None:
+        """What `StreamReport` says of the model in the next frame, if it is one."""
+        if found is None or found.model is None:
+            return None
+        moved, self.found = found.moved(self.found), found
+        return {**found.told(), "refused": {}, "moved": moved}
 
     def _up(self, frame: Frame, points: np.ndarray) -> str | Vector:
         if self.up is None:

@@ -1,12 +1,14 @@
 """A whole stream: read ahead, completed and written behind, at its pace or at ours."""
 
+import contextlib
 import dataclasses
 import itertools
+import queue
 import threading
 import time
 from array import array
 from collections import defaultdict, deque
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Generator, Iterator, Sequence
 from concurrent.futures import Future, ThreadPoolExecutor
 from typing import Any, Literal
 
@@ -77,35 +79,32 @@ def run_stream(
     """
     report = StreamReport() if report is None else report
     numbered = enumerate(iter(stream))
-    frames = _Reader(numbered, pace)
     writer = ThreadPoolExecutor(1, "write")
     waiting: deque[Future] = deque()
     start = time.perf_counter()
     try:
         for first in numbered:
             if _completed(*first, stream, completer.warm_up, report) is not None:
-                frames.begin(first)
+                numbered = itertools.chain([first], numbered)
                 break
         report.warm_up = time.perf_counter() - start
         start = time.perf_counter()
-        for number, frame, read, given in frames:
-            report.dropped = frames.dropped
-            done = _completed(number, frame, stream, completer.complete, report)
-            if done is None:
-                continue
-            if done.known is not None:
-                report.known[number] = done.known
-            times = {"read": read, **done.seconds}
-            while len(waiting) >= WRITE_BEHIND or (waiting and waiting[0].done()):
-                waiting.popleft().result()
-            written = done.numbered(number), sinks, report, times, given
-            waiting.append(writer.submit(_write, *written))
+        with contextlib.closing(_ahead(numbered, pace == "sensor", report)) as frames:
+            for number, frame, read, given in frames:
+                done = _completed(number, frame, stream, completer.complete, report)
+                if done is None:
+                    continue
+                if done.known is not None:
+                    report.known[number] = done.known
+                times = {"read": read, **done.seconds}
+                while len(waiting) >= WRITE_BEHIND or (waiting and waiting[0].done()):
+                    waiting.popleft().result()
+                written = done.numbered(number), sinks, report, times, given
+                waiting.append(writer.submit(_write, *written))
         while waiting:
             waiting.popleft().result()
     finally:
-        frames.stop()
         writer.shutdown()
-        report.dropped = frames.dropped
         report.duration = time.perf_counter() - start
         for sink in sinks:
             sink.close()
@@ -144,76 +143,47 @@ def _write(
         report.times[stage].append(seconds)
 
 
-class _Reader:
+def _ahead(
+    numbered: Iterator[tuple[int, Frame]], paced: bool, report: StreamReport
+) -> Generator[tuple[int, Frame, float, float], None, None]:
     """Frames with their numbers, the seconds they took to read, and when they were
-    given; read ahead in a thread."""
+    given; read ahead in a thread. It ends when this is closed, in the middle of the
+    stream if need be."""
+    ready: queue.SimpleQueue[Any] = queue.SimpleQueue()
+    room, ended = threading.Semaphore(READ_AHEAD), threading.Event()
 
-    def __init__(self, numbered: Iterator[tuple[int, Frame]], pace: Pace):
-        self.dropped = 0
-        self._numbered = numbered
-        self._paced = pace == "sensor"
-        self._ready: deque[tuple[int, Frame, float, float]] = deque()
-        self._changed = threading.Condition()
-        self._ended = threading.Event()
-        self._fault: BaseException | None = None
-        self._thread: threading.Thread | None = None
-
-    def begin(self, first: tuple[int, Frame]) -> None:
-        """Starts the clock with a frame that was read already."""
-        self._numbered = itertools.chain([first], self._numbered)
-        self._thread = threading.Thread(target=self._read, daemon=True, name="read")
-        self._thread.start()
-
-    def stop(self) -> None:
-        """Ends the thread, in the middle of the stream if need be."""
-        with self._changed:
-            self._ended.set()
-            self._changed.notify_all()
-        if self._thread is not None:
-            self._thread.join()
-
-    def __iter__(self) -> Iterator[tuple[int, Frame, float, float]]:
-        while self._thread is not None:
-            with self._changed:
-                self._changed.wait_for(lambda: self._ready or self._ended.is_set())
-                if not self._ready:
-                    break
-                number, frame, read, given = self._ready.popleft()
-                self._changed.notify_all()
-            yield number, frame, read, given if self._paced else time.perf_counter()
-        if self._fault is not None:
-            raise self._fault
-
-    def _read(self) -> None:
+    def read() -> None:
+        due, before = time.perf_counter(), None
         try:
-            due, before = time.perf_counter(), None
-            while not self._ended.is_set():
+            while not ended.is_set():
                 start = time.perf_counter()
-                number, frame = next(self._numbered, (None, None))
-                if number is None or frame is None:
+                number, frame = next(numbered, (None, None))
+                if frame is None:
                     break
-                read = time.perf_counter() - start
+                took = time.perf_counter() - start
                 gap = 0 if before is None else frame.timestamp - before
                 before = frame.timestamp
-                if self._paced and 0 < gap <= LONGEST_GAP:
+                if paced and 0 < gap <= LONGEST_GAP:
                     due += gap / 1e9
-                if self._paced:
-                    self._ended.wait(max(due - time.perf_counter(), 0.0))
-                self._hand_over((number, frame, read, due))
-        except BaseException as error:
-            self._fault = error
-        with self._changed:
-            self._ended.set()
-            self._changed.notify_all()
+                if paced:
+                    ended.wait(max(due - time.perf_counter(), 0.0))
+                    with contextlib.suppress(queue.Empty):
+                        ready.get_nowait()
+                        report.dropped += 1
+                else:
+                    room.acquire()
+                ready.put((number, frame, took, due))
+        finally:
+            ready.put(None)
 
-    def _hand_over(self, item: tuple[int, Frame, float, float]) -> None:
-        with self._changed:
-            if self._paced:
-                self.dropped += len(self._ready)
-                self._ready.clear()
-            else:
-                self._changed.wait_for(
-                    lambda: len(self._ready) < READ_AHEAD or self._ended.is_set()
-                )
-            self._ready.append(item)
-            self._changed.notify_all()
+    thread = ThreadPoolExecutor(1, "read")
+    reading = thread.submit(read)
+    try:
+        for number, frame, took, due in iter(ready.get, None):
+            room.release()
+            yield number, frame, took, due if paced else time.perf_counter()
+        reading.result()  # raises what reading did
+    finally:
+        ended.set()
+        room.release()
+        thread.shutdown()

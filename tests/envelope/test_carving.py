@@ -5,13 +5,13 @@ import pytest
 
 from prism_jax.envelope.carving import (
     Carving,
+    CloudView,
+    DepthView,
     _least,
     carve,
     check_agreement,
     check_conflicts,
     proven,
-    view_of_cloud,
-    view_of_depth,
 )
 from prism_jax.envelope.voxels import Grid
 from prism_jax.geometry.camera import Camera
@@ -35,7 +35,7 @@ def wall_view(eye, distance, camera=None):
     """A wall across the view, seen by every pixel."""
     camera = camera or camera_at(eye)
     depth = np.full((camera.height, camera.width), float(distance))
-    return view_of_depth(depth, depth > 0, camera)
+    return DepthView(depth, camera)
 
 
 def test_the_least_value_of_rectangles_is_bounded():
@@ -85,10 +85,10 @@ def test_what_was_not_measured_frees_nothing():
     grid = Grid.over(np.array([-1, -1, 0.5]), np.array([1, 1, 3.5]), 0.1)
     camera = camera_at(np.zeros(3))
     nothing = np.zeros((48, 64))
-    assert not carve(grid, view_of_depth(nothing, nothing > 0, camera)).any()
-    assert not carve(grid, view_of_cloud(np.zeros((0, 3)), np.zeros(3))).any()
-    assert not carve(grid, view_of_cloud(np.ones((1, 3)), np.zeros(3))).any()
-    assert not carve(grid, view_of_cloud(np.ones((9, 3)), np.zeros(3))).any()
+    assert not carve(grid, DepthView(nothing, camera)).any()
+    assert not carve(grid, CloudView(np.zeros((0, 3)), np.zeros(3))).any()
+    assert not carve(grid, CloudView(np.ones((1, 3)), np.zeros(3))).any()
+    assert not carve(grid, CloudView(np.ones((9, 3)), np.zeros(3))).any()
     behind = camera_at(np.array([0, 0, 9.0]))
     assert not carve(grid, wall_view(None, 2.0, behind)).any()
 
@@ -101,7 +101,7 @@ def test_holes_free_nothing_that_a_body_fits_into():
     for lost in (1, 3):
         proves = 0.1 / np.sqrt(2) * 40 / (lost + 1)
         depth[20 : 20 + lost, 30 : 30 + lost] = 0.0
-        view = view_of_depth(depth, depth > 0, camera)
+        view = DepthView(depth, camera)
         assert proven(view.depth, 1 / 40, 0.1, False)[20, 30] == pytest.approx(proves)
         inside = carve(grid, view, Carving(0.1, 0.1))
         assert inside.all() == (proves > 1.3)
@@ -114,7 +114,7 @@ def test_a_cloud_frees_what_is_before_its_surface_and_nothing_beside_it(origin):
     x, y = (axis.ravel() for axis in np.meshgrid(steps, steps))
     wall = np.stack([x, y, np.full(x.size, 2.0)], axis=1) + origin
     grid = Grid.over(origin + (-0.8, -0.8, 1), origin + (0.8, 0.8, 2.4), 0.1)
-    free = carve(grid, view_of_cloud(wall, origin), Carving(0.05, 0.15))
+    free = carve(grid, CloudView(wall, origin), Carving(0.05, 0.15))
     middles = grid.centers() - origin
     before = (np.abs(middles[:, :2]).max(axis=1) < 0.15) & (middles[:, 2] < 1.6)
     assert free.ravel()[before].all()
@@ -133,7 +133,7 @@ def test_what_is_next_to_a_hole_may_hide_most_of_a_dark_body(near, free):
     depth[:, :30] = near
     lower = np.array([-0.5 / 160, 0.5 / 160, 1.0]) - 0.001
     grid = Grid.over(lower, lower + 0.002, 0.002)
-    found = carve(grid, view_of_depth(depth, depth > 0, camera), Carving(0.04, BODY))
+    found = carve(grid, DepthView(depth, camera), Carving(0.04, BODY))
     assert found.all() == free and found.size == 1
 
 
@@ -156,13 +156,13 @@ def test_the_nearest_of_a_cell_counts():
     grid = Grid.over(np.array([1.1, -0.05, -0.05]), np.array([1.9, 0.05, 0.05]), 0.1)
     wall, thin = sphere()[::4], np.array([[1.15, 0.001, 0.001]])
     for points in (wall, np.vstack([thin, wall]), np.vstack([wall, thin])):
-        free = carve(grid, view_of_cloud(points, np.zeros(3)), Carving(0.04, 0.2))
+        free = carve(grid, CloudView(points, np.zeros(3)), Carving(0.04, 0.2))
         assert free[0, 0, 0] == (points is wall)
 
 
 def test_a_sensor_in_the_middle_frees_all_around_it():
     grid = Grid.over(np.full(3, -1.5), np.full(3, 1.5), 0.1)
-    free = carve(grid, view_of_cloud(sphere(), np.zeros(3)), Carving(0.04, 0.2))
+    free = carve(grid, CloudView(sphere(), np.zeros(3)), Carving(0.04, 0.2))
     middles = grid.centers()
     clear = np.linalg.norm(middles, axis=1) < 1.5
     clear &= np.hypot(middles[:, 1], middles[:, 2]) > 1.1  # far from the poles
@@ -184,8 +184,8 @@ def test_a_post_that_returns_nothing_is_not_free(width, distance):
     post = np.full((99, 3), [0.013, 0.0, distance])
     post[:, 1] = np.linspace(-0.19, 0.19, 99)
     index = grid.index_of(post)
-    image = view_of_depth(depth, depth > 0, camera)
-    for view in (image, view_of_cloud(cloud, np.zeros(3))):
+    image = DepthView(depth, camera)
+    for view in (image, CloudView(cloud, np.zeros(3))):
         free = carve(grid, view).ravel()
         assert not free[index].any()
     assert free.any() or distance == 3 or width > 0.02

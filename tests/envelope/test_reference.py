@@ -5,10 +5,10 @@ import pytest
 
 from prism_jax.envelope.carving import (
     Carving,
+    CloudView,
+    DepthView,
     check_robot,
     compare,
-    view_of_cloud,
-    view_of_depth,
 )
 from prism_jax.envelope.reference import check_reference, reference_of
 from prism_jax.io.errors import InputError
@@ -27,8 +27,8 @@ def views(distance=2.0, box=None, origin=np.zeros(3)):
     rows, columns = np.indices(depth.shape)
     rays = [(columns - 79.5) / 80, (rows - 59.5) / 80, np.ones(depth.shape)]
     points = (depth[..., None] * np.stack(rays, axis=-1)).reshape(-1, 3)
-    image = view_of_depth(depth, depth > 0, camera)
-    return {"image": image, "cloud": view_of_cloud(points + origin, origin)}
+    image = DepthView(depth, camera)
+    return {"image": image, "cloud": CloudView(points + origin, origin)}
 
 
 @pytest.mark.parametrize("kind", ["image", "cloud"])

@@ -8,7 +8,7 @@ from hypothesis import given, settings
 from hypothesis.strategies import integers
 from scipy import ndimage
 
-from prism_jax.envelope.carving import Carving, carve, view_of_cloud, view_of_depth
+from prism_jax.envelope.carving import Carving, CloudView, DepthView, carve
 from prism_jax.envelope.voxels import Grid
 from prism_jax.geometry.camera import Camera
 
@@ -159,9 +159,9 @@ def scene(seed):
     margin = BODY * rng.choice([0.0, _log_uniform(rng, 0.1, 4.0)])
     measured = _measure(rng, things, eye, rays, target, margin)
     known = np.isfinite(measured)
-    view = view_of_cloud(eye + measured[known][:, None] * rays[known], eye)
+    view = CloudView(eye + measured[known][:, None] * rays[known], eye)
     if camera is not None and rng.random() >= 0.3:
-        view = view_of_depth(measured, known, camera)
+        view = DepthView(measured, camera)
     voxel, counts = BODY * _log_uniform(rng, 0.05, 4.0), rng.integers(10, 20, 3)
     lower = target - rng.uniform(0.2, 0.8, 3) * counts * voxel
     grid = Grid.over(lower, lower + counts * voxel, voxel)

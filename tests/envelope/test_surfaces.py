@@ -16,7 +16,7 @@ def test_what_is_measured_stays_and_what_is_added_is_predicted():
     np.testing.assert_array_equal(seen.measured, POINTS)
     assert len(seen.predicted) == 150 and seen.fault == ""
     assert len(seen.robot) == 0
-    assert len(seen.surfaces()) == 450
+    assert sum(map(len, seen.surfaces().points.values())) == 450
 
 
 def test_a_known_robot_is_cut_out_and_put_back():
@@ -60,7 +60,7 @@ def test_what_cannot_be_completed_is_measured_and_it_is_said(
     seen = see(completer, POINTS[:count], None, Method(robot=robot), robot=known)
     assert len(seen.predicted) == 0 and told in seen.fault
     assert len(seen.measured) == (0 if robot else count)
-    assert len(seen.surfaces()) == count
+    assert sum(map(len, seen.surfaces().points.values())) == count
 
 
 def test_a_robot_that_the_method_does_not_know_is_refused():
