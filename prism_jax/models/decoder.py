@@ -180,9 +180,9 @@ class Decoder(nn.Module):
         seeds, features = SeedGenerator(config, name="seed_generator")(encoded, train)
         joined = jnp.concatenate([seeds, partial], axis=-2)
         if indices is None:
-            initial = sampled_rows(joined, config.num_initial)
+            initial = pyramid.sampled_rows(joined, config.num_initial)
             order = jnp.broadcast_to(jnp.arange(config.num_initial), initial.shape)
-            support_order = sampled_rows(seeds, seeds.shape[-2] // 2)
+            support_order = pyramid.sampled_rows(seeds, seeds.shape[-2] // 2)
         else:
             initial = indices.initial
         stages, pyramids = [seeds], []
@@ -192,7 +192,7 @@ class Decoder(nn.Module):
             if indices is None:
                 if i:
                     half = xyz.shape[-2] // 2
-                    support_order, order = order, sampled_rows(xyz, half)
+                    support_order, order = order, pyramid.sampled_rows(xyz, half)
                 orders, near = (order, support_order), config.num_neighbors
                 pair = _pyramids(xyz, previous.xyz, orders, rates, near)
             else:
@@ -213,13 +213,6 @@ def _given(visibility: Visibility | None) -> Visibility:
     return visibility
 
 
-def sampled_rows(
-    clouds: Float[Array, "... N 3"], num_samples: int
-) -> Int[Array, "... num_samples"]:
-    """Each cloud's first rows in farthest-point order."""
-    return over_batch(lambda cloud: pyramid.farthest_order(cloud, num_samples))(clouds)
-
-
 def _pyramids(
     xyz: Array,
     support: Array,
@@ -228,11 +221,9 @@ def _pyramids(
     num_neighbors: tuple[int, ...],
 ) -> tuple[pyramid.Pyramid, pyramid.Pyramid]:
     def build(xyz: Array, order: Array, other: Array, other_order: Array):
-        rows = pyramid.resolution_rows(order, xyz.shape[0], rates)
-        other_rows = pyramid.resolution_rows(other_order, other.shape[0], rates)
-        inter = pyramid.build_pyramid(xyz, other, rows, other_rows, num_neighbors)
-        intra = pyramid.build_pyramid(xyz, xyz, rows, rows, num_neighbors, same=True)
-        return inter, intra
+        levels = rates, num_neighbors
+        inter = pyramid.build_pyramid(xyz, other, order, other_order, *levels)
+        return inter, pyramid.build_pyramid(xyz, xyz, order, order, *levels)
 
     xyz, support = jax.lax.stop_gradient((xyz, support))
     return over_batch(build)(xyz, orders[0], support, orders[1])

@@ -79,9 +79,8 @@ def test_attend_is_a_softmax_over_the_neighbours():
 
 @jax.jit
 def two_levels(query, support):
-    query_rows = jnp.arange(len(query)), jnp.array([3, 0, 5, 6])
-    support_rows = jnp.arange(len(support)), jnp.array([1, 4, 2])
-    return build_pyramid(query, support, query_rows, support_rows, (3, 2))
+    orders = jnp.array([3, 0, 5, 6]), jnp.array([1, 4, 2, 7])
+    return build_pyramid(query, support, *orders, (1, 2), (3, 2))
 
 
 @jax.jit
