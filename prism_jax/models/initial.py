@@ -16,9 +16,6 @@ from prism_jax.models.depth_encoder import DepthEncoder
 from prism_jax.models.refiner import Refiner
 from prism_jax.models.variables import Variables, on_cpu, unlearned_steps
 
-# In the order of their keys.
-_NAMES = ("depth_encoder", "refiner", "integrator", "projection", "normal", "denoiser")
-
 
 def init_variables(key: PRNGKeyArray, config: ModelConfig) -> Variables:
     """Everything that ``adapt`` and training need, in the structure of `variables`."""
@@ -34,12 +31,13 @@ def init_auxiliary(
     sizes = config.auxiliary
 
     def init(key: PRNGKeyArray) -> dict[str, Any]:
-        first, *rest = jax.random.split(key, 1 + len(_NAMES))
-        keys, fresh = dict(zip(_NAMES, rest, strict=True)), {}
+        # Each module takes the next key: their order is a part of what a seed means.
+        first, *keys = jax.random.split(key, 7)
+        fresh = {}
 
         def made(module: nn.Module, *arguments: Any) -> Any:
-            name = module.name
-            output, fresh[name] = module.init_with_output(keys[name], *arguments)
+            key = keys[len(fresh)]
+            output, fresh[module.name] = module.init_with_output(key, *arguments)
             return output
 
         zeros = jax.tree.map(lambda x: jnp.zeros(x.shape, x.dtype), backbone)
@@ -49,9 +47,9 @@ def init_auxiliary(
         inputs = prism.prepare_input(cloud, camera, first, config)
         encoded = prism.encode(zeros, inputs, config)
         stages, features, _ = prism.decode(zeros, inputs, encoded, config)
-        made(Refiner(sizes, name="refiner"), stages[-1], features)
         image = inputs.depth, inputs.depth_mask
         depth_tokens = made(DepthEncoder(sizes, name="depth_encoder"), *image)
+        made(Refiner(sizes, name="refiner"), stages[-1], features)
         prediction = prism.Prediction(stages[-1], stages, features, encoded)
         prism.run_auxiliary(made, inputs, prediction, depth_tokens, config)
         return fresh

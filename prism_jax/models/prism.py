@@ -177,7 +177,8 @@ def branches(
     """What the auxiliary modules make of a prediction."""
 
     def read(module: nn.Module, *arguments: Any) -> Any:
-        return apply(module, part(variables, "auxiliary", module.name), *arguments)
+        own = part(variables, "auxiliary", str(module.name))
+        return apply(module, own, *arguments)
 
     return run_auxiliary(read, inputs, prediction, depth_tokens, config)
 
@@ -189,15 +190,17 @@ def run_auxiliary(
     depth_tokens: Float[Array, "n C"],
     config: ModelConfig,
 ) -> Branches:
-    """Gives each auxiliary module, which has the name of its variables, what it looks
-    at: ``read(module, *arguments)`` is what the module makes of the arguments."""
+    """Gives each auxiliary module, in the order of `init_auxiliary` and by the name of
+    its variables, what it looks at: ``read(module, *arguments)`` is what it makes."""
     sizes, perturbed = config.auxiliary, (inputs.perturbed, inputs.perturbed_neighbors)
     integrator = auxiliary.TokenIntegrator(sizes, name="integrator")
     tokens, latent = read(integrator, prediction.encoded)
+    projection = auxiliary.DepthProjection(sizes, name="projection")
+    tokens_depth = read(projection, depth_tokens)
     completed = prediction.points, prediction.features
     return Branches(
         read(auxiliary.NormalHead(sizes, name="normal"), *completed),
         read(auxiliary.Denoiser(sizes, name="denoiser"), *perturbed, latent),
         tokens,
-        read(auxiliary.DepthProjection(sizes, name="projection"), depth_tokens),
+        tokens_depth,
     )
