@@ -67,9 +67,7 @@ def train_backbone(
     statistics, own = variables["batch_stats"], part(variables, "point_encoder")
     encoded, encoder = apply_training(PointEncoder(config), own, partial)
     own = part(variables, "decoder")
-    settings = {"num_blocks": num_blocks, "visibility": visibility}
-    decoded, decoder = apply_training(
-        Decoder(config), own, partial, encoded, **settings
-    )
+    given = {"num_blocks": num_blocks, "visibility": visibility}
+    decoded, decoder = apply_training(Decoder(config), own, partial, encoded, **given)
     decoder = {**statistics["decoder"], **decoder}
     return decoded, {**statistics, "point_encoder": encoder, "decoder": decoder}

@@ -9,8 +9,7 @@ import numpy as np
 from jaxtyping import Array, Float, Int
 
 from prism_jax.geometry.visibility import Visibility, visibility_features
-from prism_jax.models import pyramid
-from prism_jax.models.attention import CrossResolutionTransformer, UpsamplingAttention
+from prism_jax.models import attention, pyramid
 from prism_jax.models.config import BackboneConfig
 from prism_jax.models.encoder import PointFeatures
 from prism_jax.models.layers import (
@@ -48,13 +47,6 @@ class Decoded(NamedTuple):
     indices: DecoderIndices
 
 
-class Cloud(NamedTuple):
-    """A stage's points and their features."""
-
-    xyz: Float[Array, "... N 3"]
-    features: Float[Array, "... N C"]
-
-
 class SeedGenerator(nn.Module):
     """Coarse complete points from the patches and the global feature."""
 
@@ -66,8 +58,9 @@ class SeedGenerator(nn.Module):
     ) -> tuple[Float[Array, "... S 3"], Float[Array, "... S C"]]:
         config = self.config
         width = config.features
-        patches = encoded.patch_xyz, encoded.patch_features, encoded.patch_neighbors
-        x = UpsamplingAttention(config, name="upsample")(*patches, train)
+        patches = attention.Cloud(encoded.patch_xyz, encoded.patch_features)
+        upsample = attention.UpsamplingAttention(config, name="upsample")
+        x = upsample(patches, encoded.patch_neighbors, train)
         context = encoded.global_feature[..., None, :]
         x = ResidualMLP(width, width, name="mlp_1")(x, context)
         x = ResidualMLP(width // 2, width, name="mlp_2")(x)
@@ -109,17 +102,18 @@ class UpsamplingBlock(nn.Module):
         self,
         xyz: Float[Array, "... N 3"],
         global_feature: Float[Array, "... G"],
-        support: Cloud,
+        support: attention.Cloud,
         inter: pyramid.Pyramid,
         intra: pyramid.Pyramid,
         train: bool = False,
         visibility: Visibility | None = None,
     ) -> tuple[Float[Array, "... M 3"], Float[Array, "... N C"], Array]:
         x = self._point_features(xyz, global_feature, visibility)
-        transformer = CrossResolutionTransformer(self.config, name="inter")
-        x = transformer(xyz, x, support.xyz, support.features, inter, train)
-        transformer = CrossResolutionTransformer(self.config, name="intra")
-        x = transformer(xyz, x, xyz, x, intra, train)
+        own = attention.Cloud(xyz, x)
+        transformer = attention.CrossResolutionTransformer(self.config, name="inter")
+        own = own._replace(features=transformer(own, support, inter, train))
+        transformer = attention.CrossResolutionTransformer(self.config, name="intra")
+        x = transformer(own, own, intra, train)
         offsets, child_features = self._children(x, train)
         return repeat_in_place(xyz, self.times) + offsets, x, child_features
 
@@ -186,7 +180,7 @@ class Decoder(nn.Module):
         else:
             initial = indices.initial
         stages, pyramids = [seeds], []
-        previous, xyz = Cloud(seeds, features), take(joined, initial)
+        previous, xyz = attention.Cloud(seeds, features), take(joined, initial)
         blocks = list(zip(config.up_factors, config.level_rates, strict=True))
         for i, (times, rates) in enumerate(blocks[:num_blocks]):
             if indices is None:
@@ -202,7 +196,7 @@ class Decoder(nn.Module):
             children, block_features, features = block(
                 xyz, encoded.global_feature, previous, *pair, train, visibility
             )
-            previous, xyz = Cloud(xyz, block_features), children
+            previous, xyz = attention.Cloud(xyz, block_features), children
             stages.append(xyz)
         return Decoded(tuple(stages), features, DecoderIndices(initial, (*pyramids,)))
 

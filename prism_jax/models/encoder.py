@@ -8,7 +8,7 @@ from jaxtyping import Array, Float, Int
 
 from prism_jax.geometry.neighbors import knn
 from prism_jax.models import pyramid
-from prism_jax.models.attention import CrossResolutionTransformer
+from prism_jax.models.attention import Cloud, CrossResolutionTransformer
 from prism_jax.models.config import BackboneConfig
 from prism_jax.models.layers import MLP, Dense, gather, highest, over_batch, take
 
@@ -97,16 +97,16 @@ class PointEncoder(nn.Module):
         abstract = SetAbstraction(config.patch_features[0], name="abstraction_1")
         features_1 = abstract(xyz_1, partial, partial, indices.neighbors[0])
         transformer = CrossResolutionTransformer(config, name="transformer_1")
-        same = xyz_1, features_1, xyz_1, features_1
-        features_1 = transformer(*same, indices.pyramids[0], train)
+        cloud = Cloud(xyz_1, features_1)
+        features_1 = transformer(cloud, cloud, indices.pyramids[0], train)
 
         xyz_2 = take(xyz_1, indices.rows[1])
         abstract = SetAbstraction(config.patch_features[1], name="abstraction_2")
         patches = abstract(xyz_2, xyz_1, features_1, indices.neighbors[1])
         reduced = Dense(config.features, name="reduce")(patches)
         transformer = CrossResolutionTransformer(config, name="transformer_2")
-        same = xyz_2, reduced, xyz_2, reduced
-        reduced = transformer(*same, indices.pyramids[1], train)
+        cloud = Cloud(xyz_2, reduced)
+        reduced = transformer(cloud, cloud, indices.pyramids[1], train)
         patches = Dense(patches.shape[-1], name="expand")(reduced) + patches
 
         pointwise = MLP(config.global_features, name="global")(xyz_2, patches)

@@ -10,7 +10,8 @@ import numpy as np
 import pytest
 
 from prism_jax.geometry.neighbors import knn
-from prism_jax.models.decoder import Cloud, SeedGenerator, UpsamplingBlock
+from prism_jax.models.attention import Cloud
+from prism_jax.models.decoder import SeedGenerator, UpsamplingBlock
 from prism_jax.models.encoder import PointEncoder, PointFeatures, encoder_indices
 from prism_jax.models.layers import over_batch, take
 from prism_jax.models.pyramid import build_pyramid, sampled_rows
