@@ -34,7 +34,7 @@ from prism_jax.completion.weights import file_sha256, load_pretrained
 from prism_jax.data.datasets import open_dataset
 from prism_jax.data.pipeline import Framing, frame_example
 from prism_jax.io.errors import require
-from prism_jax.models.backbone import encode_points, partial_indices
+from prism_jax.models.backbone import encode_points
 from prism_jax.uncertainty.confidence import EVIDENCE, Calibration, Verdict, logarithms
 from prism_jax.uncertainty.sigma import PointErrors, spread
 
@@ -113,8 +113,7 @@ def training_features(completer: Completer, count: int) -> Table:
 
     @jax.jit
     def encode(partial):
-        indices = partial_indices(partial, model.backbone)
-        return encode_points(variables, model.backbone, partial, indices).global_feature
+        return encode_points(variables, model.backbone, partial).global_feature
 
     rows = np.linspace(0, len(source) - 1, min(count, len(source))).astype(int)
     features = []

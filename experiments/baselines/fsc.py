@@ -23,7 +23,6 @@ from prism_jax.models.layers import (
     gather,
     highest,
     joined_dense,
-    joined_width,
     over_batch,
     repeat_in_place,
 )
@@ -150,7 +149,7 @@ class Layers(nn.Module):
         self, *parts: Float[Array, "... _ _"], train: bool = False
     ) -> Float[Array, "... N D"]:
         for i, width in enumerate(self.features):
-            layer = Affine(width, name=f"dense_{i}")(joined_width(parts))
+            layer = Affine(width, name=f"dense_{i}")(parts)
             x = joined_dense(parts, *layer)
             if self.use_norm:
                 x = batch_norm(train, name=f"norm_{i}")(x)

@@ -26,7 +26,6 @@ from prism_jax.models.layers import (
     gather,
     highest,
     joined_dense,
-    joined_width,
     kernel_init,
     matmul,
     over_batch,
@@ -165,7 +164,7 @@ class NormMLP(nn.Module):
         return x
 
     def _dense(self, i: int, parts: Sequence[Array]) -> Array:
-        layer = Affine(self.features[i], name=f"dense_{i}")(joined_width(parts))
+        layer = Affine(self.features[i], name=f"dense_{i}")(parts)
         return joined_dense(parts, *layer)
 
 

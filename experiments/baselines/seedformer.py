@@ -14,7 +14,6 @@ from jaxtyping import Array, Float, Int
 
 from prism_jax.geometry.neighbors import knn
 from prism_jax.models.attention import attend, hidden_and_values, interpolate
-from prism_jax.models.decoder import sampled_rows
 from prism_jax.models.encoder import SetAbstraction
 from prism_jax.models.layers import (
     MLP,
@@ -26,6 +25,7 @@ from prism_jax.models.layers import (
     repeat_in_place,
     take,
 )
+from prism_jax.models.pyramid import sampled_rows
 
 
 @dataclasses.dataclass(frozen=True)

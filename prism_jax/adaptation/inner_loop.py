@@ -79,11 +79,9 @@ def step_sizes(variables: Variables, config: AdaptConfig) -> StepSizes:
     if config.adapt_norm:
         return sizes
 
-    def hold_norms(path: tuple, size: Array) -> Array:
-        is_norm = any(str(step.key).endswith("norm") for step in path)
-        return jnp.zeros_like(size) if is_norm else size
+    def of_parameter(path: tuple, _: Array) -> Array | float:
+        names = [step.key for step in path]
+        is_norm = any(name.endswith("norm") for name in names)
+        return 0.0 if is_norm else sizes[names[0]][names[1]]
 
-    every = jax.tree.map(
-        lambda size, tree: jax.tree.map(lambda _: size, tree), sizes, encoders
-    )
-    return jax.tree_util.tree_map_with_path(hold_norms, every)
+    return jax.tree_util.tree_map_with_path(of_parameter, encoders)

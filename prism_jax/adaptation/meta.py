@@ -5,7 +5,6 @@ the weighted auxiliary losses (Eq. 11), and Eq. 10 of what they then encode, dec
 the shared decoder, is differentiated through those steps.
 """
 
-import functools
 from collections.abc import Callable
 from typing import Any, NamedTuple
 
@@ -136,8 +135,8 @@ def meta_gradients(
     episode, as at test time.
     """
     if meta.num_steps:
-        hold = functools.partial(hold_decoding, config=config.model)
-        inputs = jax.vmap(hold, (None, 0))(variables, inputs)
+        model = config.model
+        inputs = jax.vmap(lambda one: hold_decoding(variables, one, model))(inputs)
     learned = learned_part(variables, meta)
     functions = network_functions(config, meta)
     gradient = jax.grad(meta_loss, has_aux=True)
@@ -184,19 +183,14 @@ def learned_part(variables: Variables, meta: MetaConfig) -> Variables:
 
 def put_learned(learned: Variables, variables: Variables) -> Variables:
     """The variables with these in the place of theirs."""
-    return {
-        **variables,
-        "params": {**variables["params"], **learned["params"]},
-        "weighting": {**variables["weighting"], **learned["weighting"]},
-    }
+    changed = {kind: {**variables[kind], **tree} for kind, tree in learned.items()}
+    return {**variables, **changed}
 
 
 def _stopped(variables: Variables, *names: str) -> Variables:
-    """The variables, some of them without a gradient."""
+    """The variables, those of some names without a gradient."""
 
-    def stop(tree: Variables) -> Variables:
-        found = [name for name in names if name in tree]
-        return {**tree, **{name: jax.lax.stop_gradient(tree[name]) for name in found}}
+    def stop(path: tuple, leaf: Array) -> Array:
+        return jax.lax.stop_gradient(leaf) if path[1].key in names else leaf
 
-    changed = {kind: stop(variables[kind]) for kind in ("params", "weighting")}
-    return {**variables, **changed}
+    return jax.tree_util.tree_map_with_path(stop, variables)

@@ -65,8 +65,8 @@ def test_time_objective(
     softmax(eta*). Differentiable in the encoders' parameters.
     """
     prediction = prism.predict(variables, inputs, config.model)
-    depth_features = prism.read_depth(variables, inputs, config.model)
-    seen = prism.branches(variables, inputs, prediction, depth_features, config.model)
+    depth_tokens = prism.read_depth(variables, inputs, config.model)
+    seen = prism.branches(variables, inputs, prediction, depth_tokens, config.model)
     auxiliary = auxiliary_losses(inputs, prediction, seen, config.adapt)
     consistency = depth_error(
         prediction.points, inputs.reference, inputs.reference_mask, inputs.view

@@ -1,6 +1,5 @@
 """Test-time adaptation of the encoders to one frame, Eq. 13."""
 
-import functools
 from collections.abc import Callable
 from typing import NamedTuple
 
@@ -96,8 +95,7 @@ def make_adapt(config: PrismConfig = PrismConfig()) -> AdaptFn:
             return Completion(points, points, *nothing, weights, encoders, features)
         inputs = hold_decoding(variables, inputs, model)
         if others is not None:
-            hold_each = functools.partial(hold_decoding, config=model)
-            others = jax.vmap(hold_each, (None, 0))(variables, others)
+            others = jax.vmap(lambda one: hold_decoding(variables, one, model))(others)
 
         def with_others(points: Array, moving: Variables) -> Array:
             """The points, and those of the frame in other poses."""

@@ -5,7 +5,7 @@ Cross-Resolution Transformers, AAAI 2024, section 3.3.
 """
 
 import functools
-from typing import Any
+from typing import Any, NamedTuple
 
 import flax.linen as nn
 import jax
@@ -22,6 +22,17 @@ interpolate = jnp.vectorize(
 )
 
 
+class Cloud(NamedTuple):
+    """Points and their features."""
+
+    xyz: Float[Array, "... N 3"]
+    features: Float[Array, "... N C"]
+
+    def at(self, rows: Int[Array, "... M"]) -> "Cloud":
+        """Some of them."""
+        return Cloud(layers.take(self.xyz, rows), layers.take(self.features, rows))
+
+
 class VectorAttention(nn.Module):
     """PointTransformer's attention, with one weight per channel: the query feature plus
     ``sum_k softmax(gamma(q - k + delta)) * (v + delta)``, delta the embedded offset."""
@@ -31,19 +42,16 @@ class VectorAttention(nn.Module):
     @nn.compact
     def __call__(
         self,
-        query_xyz: Float[Array, "... N 3"],
-        query_features: Float[Array, "... N C"],
-        support_xyz: Float[Array, "... M 3"],
-        support_features: Float[Array, "... M C"],
+        query: Cloud,
+        support: Cloud,
         neighbors: Int[Array, "... N k"],
         train: bool = False,
     ) -> Float[Array, "... N C"]:
         config = self.config
-        clouds = (query_xyz, query_features), (support_xyz, support_features)
-        logits, values = _logits_and_values(config, *clouds, neighbors, train)
+        logits, values = _logits_and_values(config, query, support, neighbors, train)
         logits = layers.Dense(config.attention_features, name="attention_1")(logits)
         attended = attend(logits, values)
-        return layers.Dense(config.features, name="end")(attended) + query_features
+        return layers.Dense(config.features, name="end")(attended) + query.features
 
 
 class UpsamplingAttention(nn.Module):
@@ -55,39 +63,35 @@ class UpsamplingAttention(nn.Module):
     @nn.compact
     def __call__(
         self,
-        xyz: Float[Array, "... N 3"],
-        features: Float[Array, "... N C"],
+        cloud: Cloud,
         neighbors: Int[Array, "... N k"],
         train: bool = False,
     ) -> Float[Array, "... M D"]:
         config, times = self.config, self.config.seed_times
-        clouds = (xyz, features), (xyz, features)
-        logits, values = _logits_and_values(config, *clouds, neighbors, train)
+        logits, values = _logits_and_values(config, cloud, cloud, neighbors, train)
         # The kernel runs over the points: (..., N, k, C) -> (..., k, N * times, D).
         split = layers.SplitPoints(config.attention_features, times, name="attention_1")
         weights = split(jnp.swapaxes(logits, -3, -2))
         values = layers.repeat_in_place(jnp.swapaxes(values, -3, -2), times)
         attended = (weights * values).sum(-3)
-        residual = layers.Dense(config.features, name="residual")(features)
+        residual = layers.Dense(config.features, name="residual")(cloud.features)
         end = layers.Dense(config.features, name="end")(attended)
         return end + layers.repeat_in_place(residual, times)
 
 
 def _logits_and_values(
     config: BackboneConfig,
-    queries: tuple[Array, Array],
-    supports: tuple[Array, Array],
+    query: Cloud,
+    support: Cloud,
     neighbors: Array,
     train: bool,
 ) -> tuple[Array, Array]:
     """`hidden_and_values` of points and features; submodules belong to the caller."""
-    width = config.attention_features
-    query = queries[0], layers.Dense(width, name="query")(queries[1])
-    key, value = (
-        layers.Dense(width, name=name)(supports[1]) for name in ("key", "value")
-    )
-    support = supports[0], key, value
-    return hidden_and_values(query, support, neighbors, config, train)
+    dense = functools.partial(layers.Dense, config.attention_features)
+    queries = query.xyz, dense(name="query")(query.features)
+    key, value = (dense(name=name)(support.features) for name in ("key", "value"))
+    supports = support.xyz, key, value
+    return hidden_and_values(queries, supports, neighbors, config, train)
 
 
 def hidden_and_values(
@@ -164,30 +168,24 @@ class CrossResolutionTransformer(nn.Module):
     @nn.compact
     def __call__(
         self,
-        query_xyz: Float[Array, "... N 3"],
-        query_features: Float[Array, "... N C"],
-        support_xyz: Float[Array, "... M 3"],
-        support_features: Float[Array, "... M C"],
+        query: Cloud,
+        support: Cloud,
         pyramid: Pyramid,
         train: bool = False,
     ) -> Float[Array, "... N C"]:
-        coarser_xyz = coarser = jnp.zeros(())
+        coarser = query
         for i in reversed(range(len(pyramid))):
             level = pyramid[i]
-            q_xyz = layers.take(query_xyz, level.query_rows)
-            s_xyz = layers.take(support_xyz, level.support_rows)
-            q = layers.take(query_features, level.query_rows)
-            s = layers.take(support_features, level.support_rows)
+            q, s = query.at(level.query_rows), support.at(level.support_rows)
             if level.query_coarser is not None:
-                raised = interpolate(q_xyz, coarser_xyz, coarser, level.query_coarser)
-                q = self._join(f"query_{i}")(q, raised)
-                raised = interpolate(s_xyz, coarser_xyz, coarser, level.support_coarser)
-                s = self._join(f"support_{i}")(s, raised)
+                q = self._join(f"query_{i}", q, coarser, level.query_coarser)
+                s = self._join(f"support_{i}", s, coarser, level.support_coarser)
             attention = VectorAttention(self.config, name=f"attention_{i}")
-            coarser = attention(q_xyz, q, s_xyz, s, level.neighbors, train)
-            coarser_xyz = q_xyz
-        return coarser
+            coarser = Cloud(q.xyz, attention(q, s, level.neighbors, train))
+        return coarser.features
 
-    def _join(self, name: str) -> layers.ResidualMLP:
+    def _join(self, name: str, cloud: Cloud, coarser: Cloud, nearest: Any) -> Cloud:
         width = self.config.features
-        return layers.ResidualMLP(width, width, name=name)
+        join = layers.ResidualMLP(width, width, name=name)
+        raised = interpolate(cloud.xyz, *coarser, nearest)
+        return Cloud(cloud.xyz, join(cloud.features, raised))

@@ -1,33 +1,26 @@
 """Auxiliary branches: tokens shared by both streams, normals, denoising."""
 
-from typing import NamedTuple
-
 import flax.linen as nn
 import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float, Int
 
 from prism_jax.models.config import AuxiliaryConfig
-from prism_jax.models.depth_encoder import DepthFeatures
 from prism_jax.models.encoder import PointFeatures
 from prism_jax.models.layers import MLP, Dense, gather, highest
 
 
-class Tokens(NamedTuple):
-    """The point stream as m tokens, and one latent vector of all of them."""
-
-    tokens: Float[Array, "... m d"]
-    latent: Float[Array, "... d"]
-
-
 class TokenIntegrator(nn.Module):
-    """I_TSI: learned queries, shifted by the global feature, look at the patches.
-    Normalised over channels and not over a batch, so that one frame will do."""
+    """I_TSI: learned queries, shifted by the global feature, look at the patches. Gives
+    the point stream as m tokens, and one latent vector of all of them. Normalised over
+    channels and not over a batch, so that one frame will do."""
 
     config: AuxiliaryConfig
 
     @nn.compact
-    def __call__(self, encoded: PointFeatures) -> Tokens:
+    def __call__(
+        self, encoded: PointFeatures
+    ) -> tuple[Float[Array, "... m d"], Float[Array, "... d"]]:
         width = self.config.token_features
         init = nn.initializers.normal(1.0)
         queries = self.param("queries", init, (self.config.num_tokens, width))
@@ -40,8 +33,7 @@ class TokenIntegrator(nn.Module):
         attended = jax.nn.softmax(logits, axis=-1) @ values
         tokens = attended + MLP((width, width), name="mlp")(_normalised(attended))
         tokens = _normalised(tokens + context[..., None, :])
-        latent = Dense(width, name="latent")(tokens.mean(-2))
-        return Tokens(tokens, latent)
+        return tokens, Dense(width, name="latent")(tokens.mean(-2))
 
 
 class DepthProjection(nn.Module):
@@ -50,11 +42,11 @@ class DepthProjection(nn.Module):
     config: AuxiliaryConfig
 
     @nn.compact
-    def __call__(self, features: DepthFeatures) -> Float[Array, "... n d"]:
+    def __call__(self, tokens: Float[Array, "... n C"]) -> Float[Array, "... n d"]:
         width = self.config.token_features
-        tokens = Dense(width, name="token")(features.tokens)
-        context = Dense(width, name="context")(features.pooled)
-        return _normalised(tokens + context[..., None, :])
+        projected = Dense(width, name="token")(tokens)
+        context = Dense(width, name="context")(tokens.mean(-2))
+        return _normalised(projected + context[..., None, :])
 
 
 class NormalHead(nn.Module):

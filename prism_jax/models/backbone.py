@@ -6,13 +6,7 @@ from jaxtyping import Array, Float, PRNGKeyArray
 from prism_jax.geometry.visibility import Visibility, nothing_known
 from prism_jax.models.config import BackboneConfig
 from prism_jax.models.decoder import Decoded, Decoder, DecoderIndices
-from prism_jax.models.encoder import (
-    EncoderIndices,
-    PointEncoder,
-    PointFeatures,
-    encoder_indices,
-)
-from prism_jax.models.layers import over_batch
+from prism_jax.models.encoder import EncoderIndices, PointEncoder, PointFeatures
 from prism_jax.models.variables import Variables, apply, apply_training, on_cpu, part
 
 
@@ -22,15 +16,10 @@ def init_backbone(key: PRNGKeyArray, config: BackboneConfig) -> Variables:
 
     def init(key: PRNGKeyArray) -> Variables:
         keys = jax.random.split(key, 3)
-        shape = (1, config.num_points, 3)
-        partial = jax.random.uniform(keys[0], shape, minval=-1.0)
-        indices = partial_indices(partial, config)
-        encoder = PointEncoder(config).init(keys[1], partial, indices)
-        encoded = PointEncoder(config).apply(encoder, partial, indices)
-        visibility = None
-        if config.reads_visibility:
-            visibility = jax.tree.map(lambda leaf: leaf[None], nothing_known())
-        decoder = Decoder(config).init(keys[2], partial, encoded, visibility=visibility)
+        partial = jax.random.uniform(keys[0], (config.num_points, 3), minval=-1.0)
+        known = nothing_known()
+        encoded, encoder = PointEncoder(config).init_with_output(keys[1], partial)
+        decoder = Decoder(config).init(keys[2], partial, encoded, visibility=known)
         parts = {"point_encoder": encoder, "decoder": decoder}
         return {
             collection: {name: own.get(collection, {}) for name, own in parts.items()}
@@ -41,18 +30,11 @@ def init_backbone(key: PRNGKeyArray, config: BackboneConfig) -> Variables:
         return jax.jit(init)(key)
 
 
-def partial_indices(
-    partial: Float[Array, "... N 3"], config: BackboneConfig
-) -> EncoderIndices:
-    """`encoder_indices` for any leading axes."""
-    return over_batch(lambda cloud: encoder_indices(cloud, config))(partial)
-
-
 def encode_points(
     variables: Variables,
     config: BackboneConfig,
     partial: Float[Array, "... N 3"],
-    indices: EncoderIndices,
+    indices: EncoderIndices | None = None,
 ) -> PointFeatures:
     """The point stream, with BatchNorm statistics as they are."""
     own = part(variables, "point_encoder")
@@ -77,18 +59,15 @@ def train_backbone(
     variables: Variables,
     config: BackboneConfig,
     partial: Float[Array, "B N 3"],
-    indices: EncoderIndices,
     num_blocks: int | None = None,
     visibility: Visibility | None = None,
 ) -> tuple[Decoded, Variables]:
     """All stages with statistics of the batch, and the updated running statistics. A
     decoder that reads visibility needs the map."""
     statistics, own = variables["batch_stats"], part(variables, "point_encoder")
-    encoded, encoder = apply_training(PointEncoder(config), own, partial, indices)
+    encoded, encoder = apply_training(PointEncoder(config), own, partial)
     own = part(variables, "decoder")
-    settings = {"num_blocks": num_blocks, "visibility": visibility}
-    decoded, decoder = apply_training(
-        Decoder(config), own, partial, encoded, **settings
-    )
+    given = {"num_blocks": num_blocks, "visibility": visibility}
+    decoded, decoder = apply_training(Decoder(config), own, partial, encoded, **given)
     decoder = {**statistics["decoder"], **decoder}
     return decoded, {**statistics, "point_encoder": encoder, "decoder": decoder}

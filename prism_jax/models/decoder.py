@@ -9,8 +9,7 @@ import numpy as np
 from jaxtyping import Array, Float, Int
 
 from prism_jax.geometry.visibility import Visibility, visibility_features
-from prism_jax.models import pyramid
-from prism_jax.models.attention import CrossResolutionTransformer, UpsamplingAttention
+from prism_jax.models import attention, pyramid
 from prism_jax.models.config import BackboneConfig
 from prism_jax.models.encoder import PointFeatures
 from prism_jax.models.layers import (
@@ -48,13 +47,6 @@ class Decoded(NamedTuple):
     indices: DecoderIndices
 
 
-class Cloud(NamedTuple):
-    """A stage's points and their features."""
-
-    xyz: Float[Array, "... N 3"]
-    features: Float[Array, "... N C"]
-
-
 class SeedGenerator(nn.Module):
     """Coarse complete points from the patches and the global feature."""
 
@@ -66,8 +58,9 @@ class SeedGenerator(nn.Module):
     ) -> tuple[Float[Array, "... S 3"], Float[Array, "... S C"]]:
         config = self.config
         width = config.features
-        patches = encoded.patch_xyz, encoded.patch_features, encoded.patch_neighbors
-        x = UpsamplingAttention(config, name="upsample")(*patches, train)
+        patches = attention.Cloud(encoded.patch_xyz, encoded.patch_features)
+        upsample = attention.UpsamplingAttention(config, name="upsample")
+        x = upsample(patches, encoded.patch_neighbors, train)
         context = encoded.global_feature[..., None, :]
         x = ResidualMLP(width, width, name="mlp_1")(x, context)
         x = ResidualMLP(width // 2, width, name="mlp_2")(x)
@@ -109,17 +102,18 @@ class UpsamplingBlock(nn.Module):
         self,
         xyz: Float[Array, "... N 3"],
         global_feature: Float[Array, "... G"],
-        support: Cloud,
+        support: attention.Cloud,
         inter: pyramid.Pyramid,
         intra: pyramid.Pyramid,
         train: bool = False,
         visibility: Visibility | None = None,
     ) -> tuple[Float[Array, "... M 3"], Float[Array, "... N C"], Array]:
         x = self._point_features(xyz, global_feature, visibility)
-        transformer = CrossResolutionTransformer(self.config, name="inter")
-        x = transformer(xyz, x, support.xyz, support.features, inter, train)
-        transformer = CrossResolutionTransformer(self.config, name="intra")
-        x = transformer(xyz, x, xyz, x, intra, train)
+        own = attention.Cloud(xyz, x)
+        transformer = attention.CrossResolutionTransformer(self.config, name="inter")
+        own = own._replace(features=transformer(own, support, inter, train))
+        transformer = attention.CrossResolutionTransformer(self.config, name="intra")
+        x = transformer(own, own, intra, train)
         offsets, child_features = self._children(x, train)
         return repeat_in_place(xyz, self.times) + offsets, x, child_features
 
@@ -180,19 +174,19 @@ class Decoder(nn.Module):
         seeds, features = SeedGenerator(config, name="seed_generator")(encoded, train)
         joined = jnp.concatenate([seeds, partial], axis=-2)
         if indices is None:
-            initial = sampled_rows(joined, config.num_initial)
+            initial = pyramid.sampled_rows(joined, config.num_initial)
             order = jnp.broadcast_to(jnp.arange(config.num_initial), initial.shape)
-            support_order = sampled_rows(seeds, seeds.shape[-2] // 2)
+            support_order = pyramid.sampled_rows(seeds, seeds.shape[-2] // 2)
         else:
             initial = indices.initial
         stages, pyramids = [seeds], []
-        previous, xyz = Cloud(seeds, features), take(joined, initial)
+        previous, xyz = attention.Cloud(seeds, features), take(joined, initial)
         blocks = list(zip(config.up_factors, config.level_rates, strict=True))
         for i, (times, rates) in enumerate(blocks[:num_blocks]):
             if indices is None:
                 if i:
                     half = xyz.shape[-2] // 2
-                    support_order, order = order, sampled_rows(xyz, half)
+                    support_order, order = order, pyramid.sampled_rows(xyz, half)
                 orders, near = (order, support_order), config.num_neighbors
                 pair = _pyramids(xyz, previous.xyz, orders, rates, near)
             else:
@@ -202,7 +196,7 @@ class Decoder(nn.Module):
             children, block_features, features = block(
                 xyz, encoded.global_feature, previous, *pair, train, visibility
             )
-            previous, xyz = Cloud(xyz, block_features), children
+            previous, xyz = attention.Cloud(xyz, block_features), children
             stages.append(xyz)
         return Decoded(tuple(stages), features, DecoderIndices(initial, (*pyramids,)))
 
@@ -213,13 +207,6 @@ def _given(visibility: Visibility | None) -> Visibility:
     return visibility
 
 
-def sampled_rows(
-    clouds: Float[Array, "... N 3"], num_samples: int
-) -> Int[Array, "... num_samples"]:
-    """Each cloud's first rows in farthest-point order."""
-    return over_batch(lambda cloud: pyramid.farthest_order(cloud, num_samples))(clouds)
-
-
 def _pyramids(
     xyz: Array,
     support: Array,
@@ -228,11 +215,9 @@ def _pyramids(
     num_neighbors: tuple[int, ...],
 ) -> tuple[pyramid.Pyramid, pyramid.Pyramid]:
     def build(xyz: Array, order: Array, other: Array, other_order: Array):
-        rows = pyramid.resolution_rows(order, xyz.shape[0], rates)
-        other_rows = pyramid.resolution_rows(other_order, other.shape[0], rates)
-        inter = pyramid.build_pyramid(xyz, other, rows, other_rows, num_neighbors)
-        intra = pyramid.build_pyramid(xyz, xyz, rows, rows, num_neighbors, same=True)
-        return inter, intra
+        levels = rates, num_neighbors
+        inter = pyramid.build_pyramid(xyz, other, order, other_order, *levels)
+        return inter, pyramid.build_pyramid(xyz, xyz, order, order, *levels)
 
     xyz, support = jax.lax.stop_gradient((xyz, support))
     return over_batch(build)(xyz, orders[0], support, orders[1])

@@ -1,7 +1,5 @@
 """The depth stream: a ResNet over the projected depth, without a decoder."""
 
-from typing import NamedTuple
-
 import flax.linen as nn
 import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float
@@ -10,16 +8,10 @@ from prism_jax.models.config import AuxiliaryConfig
 from prism_jax.models.layers import Conv, batch_norm
 
 
-class DepthFeatures(NamedTuple):
-    """The last feature map's cells as tokens, and their mean."""
-
-    tokens: Float[Array, "... n C"]
-    pooled: Float[Array, "... C"]
-
-
 class DepthEncoder(nn.Module):
     """ResNet (He et al., CVPR 2016) of a depth map, in workspace units relative to the
-    workspace's centre, and its mask; where that is False, depth has no influence."""
+    workspace's centre, and its mask; where that is False, depth has no influence. The
+    last feature map's cells are its tokens."""
 
     config: AuxiliaryConfig
 
@@ -29,7 +21,7 @@ class DepthEncoder(nn.Module):
         depth: Float[Array, "... H W"],
         mask: Bool[Array, "... H W"],
         train: bool = False,
-    ) -> DepthFeatures:
+    ) -> Float[Array, "... n C"]:
         seen = jnp.where(mask, depth, 0.0)
         x = jnp.stack([seen, mask.astype(seen.dtype)], axis=-1)
         first = self.config.depth_features[0]
@@ -41,8 +33,7 @@ class DepthEncoder(nn.Module):
                 strides = 2 if stage > 0 and block == 0 else 1
                 name = f"stage_{stage}_block_{block}"
                 x = ResidualBlock(features, strides, name=name)(x, train)
-        tokens = x.reshape(*x.shape[:-3], -1, x.shape[-1])
-        return DepthFeatures(tokens, tokens.mean(-2))
+        return x.reshape(*x.shape[:-3], -1, x.shape[-1])
 
 
 class ResidualBlock(nn.Module):

@@ -8,9 +8,9 @@ from jaxtyping import Array, Float, Int
 
 from prism_jax.geometry.neighbors import knn
 from prism_jax.models import pyramid
-from prism_jax.models.attention import CrossResolutionTransformer
+from prism_jax.models.attention import Cloud, CrossResolutionTransformer
 from prism_jax.models.config import BackboneConfig
-from prism_jax.models.layers import MLP, Dense, gather, highest, take
+from prism_jax.models.layers import MLP, Dense, gather, highest, over_batch, take
 
 
 class EncoderIndices(NamedTuple):
@@ -34,23 +34,27 @@ class PointFeatures(NamedTuple):
 
 
 def encoder_indices(
-    partial: Float[Array, "N 3"], config: BackboneConfig
+    partials: Float[Array, "... N 3"], config: BackboneConfig
 ) -> EncoderIndices:
-    """Samples and neighbours of one partial cloud, which is sampled once: coarser
+    """Samples and neighbours of partial clouds. Each is sampled once: coarser
     resolutions are prefixes of its farthest-point order."""
-    rows, neighbors, pyramids = [], [], []
-    cloud, order = partial, pyramid.farthest_order(partial, config.patch_points[0])
-    for num_points in config.patch_points:
-        patches = cloud[order[:num_points]]
-        rows.append(order[:num_points])
-        neighbors.append(knn(patches, cloud, config.patch_neighbors))
-        order = jnp.arange(num_points)
-        levels = pyramid.resolution_rows(order, num_points, config.encoder_rates)
-        both = patches, patches, levels, levels
-        pyramids.append(pyramid.build_pyramid(*both, config.num_neighbors, same=True))
-        cloud = patches
-    around = knn(cloud, cloud, config.patch_neighbors)
-    return EncoderIndices(tuple(rows), tuple(neighbors), tuple(pyramids), around)
+    levels = config.encoder_rates, config.num_neighbors
+
+    def of_cloud(cloud: Array) -> EncoderIndices:
+        rows, neighbors, pyramids = [], [], []
+        order = pyramid.sampled_rows(cloud, config.patch_points[0])
+        for num_points in config.patch_points:
+            patches = cloud[order[:num_points]]
+            rows.append(order[:num_points])
+            neighbors.append(knn(patches, cloud, config.patch_neighbors))
+            order = jnp.arange(num_points)
+            both = patches, patches, order, order
+            pyramids.append(pyramid.build_pyramid(*both, *levels))
+            cloud = patches
+        around = knn(cloud, cloud, config.patch_neighbors)
+        return EncoderIndices(tuple(rows), tuple(neighbors), tuple(pyramids), around)
+
+    return over_batch(of_cloud)(partials)
 
 
 class SetAbstraction(nn.Module):
@@ -74,7 +78,8 @@ class SetAbstraction(nn.Module):
 
 
 class PointEncoder(nn.Module):
-    """CRA-PCN's encoder: patch features of the partial, and a global feature."""
+    """CRA-PCN's encoder: patch features of the partial, and a global feature. Without
+    the partial's indices it computes them."""
 
     config: BackboneConfig
 
@@ -82,24 +87,26 @@ class PointEncoder(nn.Module):
     def __call__(
         self,
         partial: Float[Array, "... N 3"],
-        indices: EncoderIndices,
+        indices: EncoderIndices | None = None,
         train: bool = False,
     ) -> PointFeatures:
         config = self.config
+        if indices is None:
+            indices = encoder_indices(partial, config)
         xyz_1 = take(partial, indices.rows[0])
         abstract = SetAbstraction(config.patch_features[0], name="abstraction_1")
         features_1 = abstract(xyz_1, partial, partial, indices.neighbors[0])
         transformer = CrossResolutionTransformer(config, name="transformer_1")
-        same = xyz_1, features_1, xyz_1, features_1
-        features_1 = transformer(*same, indices.pyramids[0], train)
+        cloud = Cloud(xyz_1, features_1)
+        features_1 = transformer(cloud, cloud, indices.pyramids[0], train)
 
         xyz_2 = take(xyz_1, indices.rows[1])
         abstract = SetAbstraction(config.patch_features[1], name="abstraction_2")
         patches = abstract(xyz_2, xyz_1, features_1, indices.neighbors[1])
         reduced = Dense(config.features, name="reduce")(patches)
         transformer = CrossResolutionTransformer(config, name="transformer_2")
-        same = xyz_2, reduced, xyz_2, reduced
-        reduced = transformer(*same, indices.pyramids[1], train)
+        cloud = Cloud(xyz_2, reduced)
+        reduced = transformer(cloud, cloud, indices.pyramids[1], train)
         patches = Dense(patches.shape[-1], name="expand")(reduced) + patches
 
         pointwise = MLP(config.global_features, name="global")(xyz_2, patches)

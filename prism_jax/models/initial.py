@@ -2,6 +2,7 @@
 
 from typing import Any
 
+import flax.linen as nn
 import jax
 import jax.numpy as jnp
 from jaxtyping import PRNGKeyArray
@@ -9,7 +10,7 @@ from jaxtyping import PRNGKeyArray
 from prism_jax.geometry.camera import Camera
 from prism_jax.losses.weighting import BRANCHES
 from prism_jax.models import prism
-from prism_jax.models.backbone import decode, init_backbone
+from prism_jax.models.backbone import init_backbone
 from prism_jax.models.config import ModelConfig
 from prism_jax.models.depth_encoder import DepthEncoder
 from prism_jax.models.refiner import Refiner
@@ -28,47 +29,39 @@ def init_auxiliary(
     """A backbone's variables with fresh ones for all that reads it, made on the CPU as
     the backbone's are; nothing depends on the backbone's values."""
     sizes = config.auxiliary
-    shapes = jax.tree.map(lambda x: jax.ShapeDtypeStruct(x.shape, x.dtype), backbone)
 
     def init(key: PRNGKeyArray) -> dict[str, Any]:
-        keys = jax.random.split(key, 7)
-        backbone = jax.tree.map(lambda x: jnp.zeros(x.shape, x.dtype), shapes)
-        shape = (config.backbone.num_points, 3)
-        cloud = jax.random.uniform(keys[0], shape, minval=-1.0)
-        view = (3.0, 0.0, 0.0), (0.0, 0.0, 0.0)
-        inputs = prism.prepare_input(cloud, Camera.look_at(*view), keys[0], config)
-        encoded = prism.encode(backbone, inputs, config)
-        decoded = decode(
-            backbone, config.backbone, cloud, encoded, visibility=inputs.visibility
-        )
-        points, features = decoded.stages[-1], decoded.features
-        fresh = {"refiner": Refiner(sizes).init(keys[2], points, features)}
-        image = inputs.depth, inputs.depth_mask
-        depth_features, fresh["depth_encoder"] = DepthEncoder(sizes).init_with_output(
-            keys[1], *image
-        )
+        # Each module takes the next key: their order is a part of what a seed means.
+        first, *keys = jax.random.split(key, 7)
+        fresh = {}
 
-        def made(name: str, *arguments: Any) -> Any:
-            module, key = (
-                prism.AUXILIARY[name](sizes),
-                keys[3 + [*prism.AUXILIARY].index(name)],
-            )
-            output, fresh[name] = module.init_with_output(key, *arguments)
+        def made(module: nn.Module, *arguments: Any) -> Any:
+            key = keys[len(fresh)]
+            output, fresh[module.name] = module.init_with_output(key, *arguments)
             return output
 
-        prediction = prism.Prediction(points, decoded.stages, features, encoded)
-        prism.run_auxiliary(made, inputs, prediction, depth_features)
+        zeros = jax.tree.map(lambda x: jnp.zeros(x.shape, x.dtype), backbone)
+        shape = (config.backbone.num_points, 3)
+        cloud = jax.random.uniform(first, shape, minval=-1.0)
+        camera = Camera.look_at((3.0, 0.0, 0.0), (0.0, 0.0, 0.0))
+        inputs = prism.prepare_input(cloud, camera, first, config)
+        encoded = prism.encode(zeros, inputs, config)
+        stages, features, _ = prism.decode(zeros, inputs, encoded, config)
+        image = inputs.depth, inputs.depth_mask
+        depth_tokens = made(DepthEncoder(sizes, name="depth_encoder"), *image)
+        made(Refiner(sizes, name="refiner"), stages[-1], features)
+        prediction = prism.Prediction(stages[-1], stages, features, encoded)
+        prism.run_auxiliary(made, inputs, prediction, depth_tokens, config)
         return fresh
 
     with on_cpu():
         fresh = jax.jit(init)(key)
-    depth = fresh.pop("depth_encoder")
-    params = {name: variables["params"] for name, variables in fresh.items()}
+    depth, refiner = fresh.pop("depth_encoder"), fresh.pop("refiner")
     params = {
         **backbone["params"],
         "depth_encoder": depth["params"],
-        "refiner": params.pop("refiner"),
-        "auxiliary": params,
+        "refiner": refiner["params"],
+        "auxiliary": {name: own["params"] for name, own in fresh.items()},
     }
     statistics = {**backbone["batch_stats"], "depth_encoder": depth["batch_stats"]}
     weighting = {

@@ -73,13 +73,17 @@ class Dense(nn.Module):
 
 
 class Affine(nn.Module):
-    """The kernel and the bias of a dense layer, for a caller who applies them."""
+    """The kernel and the bias of a dense layer over several parts, for a caller who
+    applies them (`joined_dense`)."""
 
     features: int
     kernel_init: nn.initializers.Initializer = kernel_init
 
     @nn.compact
-    def __call__(self, width: int) -> tuple[Float[Array, "C D"], Float[Array, " D"]]:
+    def __call__(
+        self, parts: Sequence[Float[Array, "... _ _"]]
+    ) -> tuple[Float[Array, "C D"], Float[Array, " D"]]:
+        width = sum(part.shape[-1] for part in parts)
         kernel = self.param("kernel", self.kernel_init, (width, self.features))
         return kernel, self.param("bias", bias_init, (self.features,))
 
@@ -99,11 +103,6 @@ def joined_dense(
     return y
 
 
-def joined_width(parts: Sequence[Array]) -> int:
-    """Channels of the concatenation."""
-    return sum(part.shape[-1] for part in parts)
-
-
 class MLP(nn.Module):
     """Dense layers with a ReLU between them and none after the last. Several inputs are
     joined as in `joined_dense`. ``final_init`` is the last one's."""
@@ -113,15 +112,12 @@ class MLP(nn.Module):
 
     @nn.compact
     def __call__(self, *parts: Float[Array, "... _ _"]) -> Float[Array, "... N D"]:
-        last = len(self.features) - 1
-        for i, width in enumerate(self.features):
-            init = self.final_init if i == last else kernel_init
-            layer = Affine(width, init, name=f"dense_{i}")(joined_width(parts))
-            x = joined_dense(parts, *layer)
-            if i == last:
-                return x
-            parts = (nn.relu(x),)
-        raise ValueError("An MLP needs at least one layer.")
+        *hidden, last = self.features
+        for i, width in enumerate(hidden):
+            layer = Affine(width, name=f"dense_{i}")(parts)
+            parts = (nn.relu(joined_dense(parts, *layer)),)
+        layer = Affine(last, self.final_init, name=f"dense_{len(hidden)}")(parts)
+        return joined_dense(parts, *layer)
 
 
 class ResidualMLP(nn.Module):
@@ -133,9 +129,8 @@ class ResidualMLP(nn.Module):
 
     @nn.compact
     def __call__(self, *parts: Float[Array, "... _ _"]) -> Float[Array, "... N D"]:
-        width = joined_width(parts)
-        first = Affine(self.hidden, name="dense_0")(width)
-        shortcut = Affine(self.features, name="shortcut")(width)
+        first = Affine(self.hidden, name="dense_0")(parts)
+        shortcut = Affine(self.features, name="shortcut")(parts)
         pairs = zip(first, shortcut, strict=True)
         both = (jnp.concatenate(pair, axis=-1) for pair in pairs)
         y, x = jnp.split(joined_dense(parts, *both), [self.hidden], axis=-1)
@@ -210,10 +205,9 @@ class SplitPoints(nn.Module):
 class _Kernel(nn.Module):
     """A kernel by itself; all its axes but the first are outputs."""
 
-    shape: tuple[int, ...]
+    shape: tuple[int, int, int]
 
     @nn.compact
     def __call__(self) -> Array:
-        outputs = tuple(range(1, len(self.shape)))
-        init = nn.initializers.lecun_normal(in_axis=0, out_axis=outputs)
+        init = nn.initializers.lecun_normal(in_axis=0, out_axis=(1, 2))
         return self.param("kernel", init, self.shape)

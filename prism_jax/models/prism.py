@@ -13,11 +13,10 @@ from prism_jax.geometry.neighbors import knn
 from prism_jax.geometry.render import render_depth
 from prism_jax.geometry.visibility import Visibility, seen_by
 from prism_jax.losses.denoise import perturb, upsample_midpoints
-from prism_jax.models import auxiliary
-from prism_jax.models.backbone import decode, encode_points
+from prism_jax.models import auxiliary, backbone
 from prism_jax.models.config import ModelConfig
 from prism_jax.models.decoder import Decoded, DecoderIndices
-from prism_jax.models.depth_encoder import DepthEncoder, DepthFeatures
+from prism_jax.models.depth_encoder import DepthEncoder
 from prism_jax.models.encoder import EncoderIndices, PointFeatures, encoder_indices
 from prism_jax.models.refiner import Refiner
 from prism_jax.models.variables import Variables, apply, part
@@ -110,7 +109,7 @@ def hold_decoding(
     of Eq. 13 jump by more than a gradient step lowers them.
     """
     encoded = encode(variables, inputs, config)
-    return inputs._replace(decoding=_decode(variables, inputs, encoded, config).indices)
+    return inputs._replace(decoding=decode(variables, inputs, encoded, config).indices)
 
 
 def predict(
@@ -125,7 +124,8 @@ def encode(
     variables: Variables, inputs: NetworkInput, config: ModelConfig
 ) -> PointFeatures:
     """The point stream."""
-    return encode_points(variables, config.backbone, inputs.partial, inputs.indices)
+    own = inputs.partial, inputs.indices
+    return backbone.encode_points(variables, config.backbone, *own)
 
 
 def decode_and_refine(
@@ -135,19 +135,20 @@ def decode_and_refine(
     config: ModelConfig,
 ) -> Prediction:
     """The stages and the refined points. A batch is one pass through the decoder."""
-    decoded = _decode(variables, inputs, encoded, config)
+    decoded = decode(variables, inputs, encoded, config)
     points = refine(variables, decoded, config)
     return Prediction(points, decoded.stages, decoded.features, encoded)
 
 
-def _decode(
+def decode(
     variables: Variables,
     inputs: NetworkInput,
     encoded: PointFeatures,
     config: ModelConfig,
 ) -> Decoded:
-    cloud, held, visibility = inputs.partial, inputs.decoding, inputs.visibility
-    return decode(variables, config.backbone, cloud, encoded, held, visibility)
+    """All stages, by what is held of an earlier decoding."""
+    given = inputs.partial, encoded, inputs.decoding, inputs.visibility
+    return backbone.decode(variables, config.backbone, *given)
 
 
 def refine(
@@ -160,8 +161,8 @@ def refine(
 
 def read_depth(
     variables: Variables, inputs: NetworkInput, config: ModelConfig
-) -> DepthFeatures:
-    """The depth stream, with BatchNorm statistics as they are."""
+) -> Float[Array, "... n C"]:
+    """The depth stream's tokens, with BatchNorm statistics as they are."""
     own, encoder = part(variables, "depth_encoder"), DepthEncoder(config.auxiliary)
     return apply(encoder, own, inputs.depth, inputs.depth_mask)
 
@@ -170,40 +171,36 @@ def branches(
     variables: Variables,
     inputs: NetworkInput,
     prediction: Prediction,
-    depth_features: DepthFeatures,
+    depth_tokens: Float[Array, "n C"],
     config: ModelConfig,
 ) -> Branches:
     """What the auxiliary modules make of a prediction."""
 
-    def read(name: str, *arguments: Any) -> Any:
-        own = part(variables, "auxiliary", name)
-        return apply(AUXILIARY[name](config.auxiliary), own, *arguments)
+    def read(module: nn.Module, *arguments: Any) -> Any:
+        own = part(variables, "auxiliary", str(module.name))
+        return apply(module, own, *arguments)
 
-    return run_auxiliary(read, inputs, prediction, depth_features)
-
-
-AUXILIARY: dict[str, type[nn.Module]] = {
-    "integrator": auxiliary.TokenIntegrator,
-    "projection": auxiliary.DepthProjection,
-    "normal": auxiliary.NormalHead,
-    "denoiser": auxiliary.Denoiser,
-}
-"""The auxiliary modules, by the names of their variables."""
+    return run_auxiliary(read, inputs, prediction, depth_tokens, config)
 
 
 def run_auxiliary(
     read: Callable[..., Any],
     inputs: NetworkInput,
     prediction: Prediction,
-    depth_features: DepthFeatures,
+    depth_tokens: Float[Array, "n C"],
+    config: ModelConfig,
 ) -> Branches:
-    """Gives each of `AUXILIARY` what it looks at: ``read(name, *arguments)`` is what
-    the module makes of the arguments."""
-    integrated: auxiliary.Tokens = read("integrator", prediction.encoded)
-    perturbed = (inputs.perturbed, inputs.perturbed_neighbors)
+    """Gives each auxiliary module, in the order of `init_auxiliary` and by the name of
+    its variables, what it looks at: ``read(module, *arguments)`` is what it makes."""
+    sizes, perturbed = config.auxiliary, (inputs.perturbed, inputs.perturbed_neighbors)
+    integrator = auxiliary.TokenIntegrator(sizes, name="integrator")
+    tokens, latent = read(integrator, prediction.encoded)
+    projection = auxiliary.DepthProjection(sizes, name="projection")
+    tokens_depth = read(projection, depth_tokens)
+    completed = prediction.points, prediction.features
     return Branches(
-        read("normal", prediction.points, prediction.features),
-        read("denoiser", *perturbed, integrated.latent),
-        integrated.tokens,
-        read("projection", depth_features),
+        read(auxiliary.NormalHead(sizes, name="normal"), *completed),
+        read(auxiliary.Denoiser(sizes, name="denoiser"), *perturbed, latent),
+        tokens,
+        tokens_depth,
     )

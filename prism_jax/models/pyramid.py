@@ -8,6 +8,7 @@ from jaxtyping import Array, Float, Int
 
 from prism_jax.geometry.neighbors import knn
 from prism_jax.geometry.sampling import farthest_point_sample
+from prism_jax.models.layers import over_batch
 
 
 class Level(NamedTuple):
@@ -27,29 +28,34 @@ class Level(NamedTuple):
 Pyramid = tuple[Level, ...]
 
 
-def farthest_order(cloud: Float[Array, "N 3"], num_samples: int) -> Int[Array, " n"]:
-    """Sampling as the reference does it, near-origin rule included."""
-    return farthest_point_sample(cloud, num_samples, skip_near_origin=True)
-
-
-def resolution_rows(
-    order: Int[Array, " n"], num_points: int, rates: tuple[int, ...]
-) -> tuple[Int[Array, " _"], ...]:
-    """Rows of each resolution of a cloud: prefixes of its farthest-point order, and for
-    rate 1 the whole cloud in its own order."""
-    every = jnp.arange(num_points)
-    return tuple(every if rate == 1 else order[: num_points // rate] for rate in rates)
+def sampled_rows(
+    clouds: Float[Array, "... N 3"], num_samples: int
+) -> Int[Array, "... num_samples"]:
+    """Each cloud's first rows in farthest-point order, as the reference samples it, its
+    near-origin rule included."""
+    return over_batch(
+        lambda cloud: farthest_point_sample(cloud, num_samples, skip_near_origin=True)
+    )(clouds)
 
 
 def build_pyramid(
     query: Float[Array, "Q 3"],
     support: Float[Array, "S 3"],
-    query_rows: tuple[Int[Array, " _"], ...],
-    support_rows: tuple[Int[Array, " _"], ...],
+    query_order: Int[Array, " q"],
+    support_order: Int[Array, " s"],
+    rates: tuple[int, ...],
     num_neighbors: tuple[int, ...],
-    same: bool = False,
 ) -> Pyramid:
-    """Neighbours of two clouds at every resolution; ``same`` if they are one."""
+    """Neighbours of two clouds, which may be one, at every resolution: prefixes of
+    their farthest-point orders, and for rate 1 each whole cloud in its own order."""
+
+    def rows(cloud: Array, order: Array) -> list[Array]:
+        size = cloud.shape[0]
+        return [jnp.arange(size) if r == 1 else order[: size // r] for r in rates]
+
+    same = query is support
+    query_rows = rows(query, query_order)
+    support_rows = query_rows if same else rows(support, support_order)
     levels = []
     for i, (q_rows, s_rows) in enumerate(zip(query_rows, support_rows, strict=True)):
         q, s = query[q_rows], support[s_rows]

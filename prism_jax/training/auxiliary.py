@@ -20,7 +20,7 @@ from prism_jax.losses.chamfer import chamfer
 from prism_jax.losses.depth import depth_supervised
 from prism_jax.losses.weighting import BRANCHES, update_scale
 from prism_jax.models import prism
-from prism_jax.models.depth_encoder import DepthEncoder, DepthFeatures
+from prism_jax.models.depth_encoder import DepthEncoder
 from prism_jax.models.variables import Variables, apply_training, part
 from prism_jax.training.config import PretrainConfig
 from prism_jax.training.inputs import inputs_of
@@ -66,8 +66,8 @@ def _step(config: PrismConfig, both: optax.GradientTransformation, key: PRNGKeyA
         keys = jax.random.split(key, batch.partial.shape[0])
         inputs = inputs_of(batch, keys, config.model)
         own, image = part(variables, "depth_encoder"), (inputs.depth, inputs.depth_mask)
-        depth_features, statistics = apply_training(encoder, own, *image)
-        terms, measured, _ = _terms(variables, inputs, depth_features, batch, config)
+        depth_tokens, statistics = apply_training(encoder, own, *image)
+        terms, measured, _ = _terms(variables, inputs, depth_tokens, batch, config)
         return terms.sum(), (terms, measured.mean(0), statistics)
 
     @jax.jit
@@ -101,8 +101,8 @@ def _validation(config: PrismConfig, key: PRNGKeyArray):
         keys = jax.random.split(key, batch.partial.shape[0])
         inputs = inputs_of(batch, keys, config.model)
         read = functools.partial(prism.read_depth, config=config.model)
-        depth_features = jax.vmap(read, (None, 0))(variables, inputs)
-        terms, _, predictions = _terms(variables, inputs, depth_features, batch, config)
+        depth_tokens = jax.vmap(read, (None, 0))(variables, inputs)
+        terms, _, predictions = _terms(variables, inputs, depth_tokens, batch, config)
         complete = jnp.asarray(batch.complete)
         scale = jnp.asarray(batch.scale) ** 2
         clouds = (predictions.stages[-1], predictions.points)
@@ -115,27 +115,27 @@ def _validation(config: PrismConfig, key: PRNGKeyArray):
 def _terms(
     variables: Variables,
     inputs: prism.NetworkInput,
-    depth_features: DepthFeatures,
+    depth_tokens: Float[Array, "B n C"],
     batch: Batch,
     config: PrismConfig,
 ) -> tuple[Float[Array, "4"], Float[Array, "B 3"], prism.Prediction]:
     """Losses of refiner, normals, denoising and alignment; L_aux example by example. In
     training, Eq. 7 takes its statistics over the tokens of the whole batch (gap 6)."""
 
-    def one(inputs: prism.NetworkInput, features: DepthFeatures, complete: Array):
+    def one(inputs: prism.NetworkInput, tokens: Array, complete: Array):
         prediction = prism.predict(variables, inputs, config.model)
         refined = depth_supervised(prediction.points, complete, inputs.view)
         fixed = prediction._replace(points=jax.lax.stop_gradient(prediction.points))
-        seen = prism.branches(variables, inputs, fixed, features, config.model)
+        seen = prism.branches(variables, inputs, fixed, tokens, config.model)
         seen = seen._replace(tokens_3d=jax.lax.stop_gradient(seen.tokens_3d))
         auxiliary = auxiliary_losses(inputs, fixed, seen, config.adapt)
-        tokens = seen.tokens_3d, seen.tokens_depth
-        transport = transport_alignment(*tokens, config.adapt.transport_epsilon)
+        pair = seen.tokens_3d, seen.tokens_depth
+        transport = transport_alignment(*pair, config.adapt.transport_epsilon)
         return refined, auxiliary, transport, seen, prediction
 
     complete = jnp.asarray(batch.complete)
     refined, auxiliary, transport, seen, predictions = jax.vmap(one)(
-        inputs, depth_features, complete
+        inputs, depth_tokens, complete
     )
     width = config.model.auxiliary.token_features
     tokens_3d = seen.tokens_3d.reshape(-1, width)

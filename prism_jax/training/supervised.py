@@ -35,21 +35,14 @@ def backbone_phase(
 
     def train(variables: Variables, batch: Batch) -> tuple[Stages, Variables]:
         partial = jnp.asarray(batch.partial)
-        indices = backbone.partial_indices(partial, config)
         decoded, statistics = backbone.train_backbone(
-            variables,
-            config,
-            partial,
-            indices,
-            phase.num_blocks,
-            visibility_of(batch, config),
+            variables, config, partial, phase.num_blocks, visibility_of(batch, config)
         )
         return decoded.stages, statistics
 
     def stages(variables: Variables, batch: Batch) -> Stages:
         partial, visibility = jnp.asarray(batch.partial), visibility_of(batch, config)
-        indices = backbone.partial_indices(partial, config)
-        encoded = backbone.encode_points(variables, config, partial, indices)
+        encoded = backbone.encode_points(variables, config, partial)
         decoded = backbone.decode(variables, config, partial, encoded, None, visibility)
         return decoded.stages[: blocks + 1]
 

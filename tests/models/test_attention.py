@@ -9,6 +9,7 @@ import pytest
 from jax.test_util import check_grads
 
 from prism_jax.models.attention import (
+    Cloud,
     CrossResolutionTransformer,
     VectorAttention,
     attend,
@@ -41,7 +42,7 @@ def randomised(module, *inputs):
 
 def clouds():
     """Seven queries and nine supports with their features."""
-    return normal(7, 3), normal(7, WIDTH), normal(9, 3), normal(9, WIDTH)
+    return [Cloud(normal(count, 3), normal(count, WIDTH)) for count in (7, 9)]
 
 
 def test_without_norm_it_is_that_of_a_norm_that_does_nothing():
@@ -55,7 +56,7 @@ def test_without_norm_it_is_that_of_a_norm_that_does_nothing():
         lambda leaf: leaf * (1 - 1e-5), identity["batch_stats"]
     )
     expected = jax.jit(normed.apply)(identity, *inputs)
-    batch = [jnp.stack([array, array[::-1]]) for array in inputs]
+    batch = jax.tree.map(lambda array: jnp.stack([array, array[::-1]]), inputs)
     together, mapped = jax.jit(
         lambda *batch: (
             plain.apply(variables, *batch),
@@ -79,9 +80,8 @@ def test_attend_is_a_softmax_over_the_neighbours():
 
 @jax.jit
 def two_levels(query, support):
-    query_rows = jnp.arange(len(query)), jnp.array([3, 0, 5, 6])
-    support_rows = jnp.arange(len(support)), jnp.array([1, 4, 2])
-    return build_pyramid(query, support, query_rows, support_rows, (3, 2))
+    orders = jnp.array([3, 0, 5, 6]), jnp.array([1, 4, 2, 7])
+    return build_pyramid(query, support, *orders, (1, 2), (3, 2))
 
 
 @jax.jit
@@ -95,7 +95,7 @@ def value_and_gradients(params, statistics, clouds, pyramid):
 
 def transformed(*inputs):
     """Value and gradients with random weights; with a step, that far from there."""
-    pyramid = two_levels(inputs[0], inputs[2])
+    pyramid = two_levels(*(cloud.xyz for cloud in inputs))
     variables = randomised(TRANSFORMER, *inputs, pyramid)
     at, statistics = (variables["params"], inputs), variables["batch_stats"]
 
@@ -108,13 +108,13 @@ def transformed(*inputs):
 
 @pytest.mark.parametrize("kind", ["coincident", "identical", "far"])
 def test_degenerate_clouds_have_finite_gradients(kind):
-    query_xyz, query, support_xyz, support = clouds()
+    (query_xyz, query), (support_xyz, support) = clouds()
     query_xyz, support_xyz = {
         "coincident": (support_xyz[:7], support_xyz),
         "identical": (jnp.ones((7, 3)), jnp.ones((9, 3))),
         "far": (query_xyz + 1000, support_xyz + 1000),
     }[kind]
-    results = transformed(query_xyz, query, support_xyz, support)()
+    results = transformed(Cloud(query_xyz, query), Cloud(support_xyz, support))()
     assert all(np.isfinite(leaf).all() for leaf in jax.tree.leaves(results))
 
 

@@ -12,7 +12,6 @@ from prism_jax.models.auxiliary import (
     TokenIntegrator,
 )
 from prism_jax.models.config import AuxiliaryConfig
-from prism_jax.models.depth_encoder import DepthFeatures
 from prism_jax.models.encoder import PointFeatures
 
 CONFIG = AuxiliaryConfig(num_tokens=4, token_features=8, hidden=8)
@@ -29,7 +28,7 @@ POINTS, FEATURES = normal(20, 3), normal(20, 7)
 NEIGHBORS = jnp.asarray(RNG.integers(0, 20, (20, 4)))
 INPUTS = {
     TokenIntegrator: (ENCODED,),
-    DepthProjection: (DepthFeatures(normal(9, 5), normal(5)),),
+    DepthProjection: (normal(9, 5),),
     NormalHead: (POINTS, FEATURES),
     Denoiser: (POINTS, NEIGHBORS, normal(8)),
 }
@@ -59,11 +58,11 @@ def test_normals_have_unit_length(branches):
 def test_tokens_of_both_streams_are_normalised(branches):
     """Without parameters: their scale cannot run away, or shrink to nothing."""
     apply, variables = branches[TokenIntegrator]
-    integrated = apply(variables, ENCODED)
+    integrated, latent = apply(variables, ENCODED)
     apply, variables = branches[DepthProjection]
     projected = apply(variables, *INPUTS[DepthProjection])
-    assert integrated.latent.shape == (8,)
-    for tokens, count in ((integrated.tokens, 4), (projected, 9)):
+    assert latent.shape == (8,)
+    for tokens, count in ((integrated, 4), (projected, 9)):
         assert tokens.shape == (count, 8)
         np.testing.assert_allclose(tokens.mean(-1), 0, atol=1e-6)
         np.testing.assert_allclose(tokens.std(-1), 1, atol=1e-3)

@@ -8,12 +8,7 @@ from flax.traverse_util import flatten_dict
 
 from experiments.baselines.crapcn import convert_state_dict
 from prism_jax.losses.primary import stage_chamfers
-from prism_jax.models.backbone import (
-    decode,
-    encode_points,
-    partial_indices,
-    train_backbone,
-)
+from prism_jax.models.backbone import decode, encode_points, train_backbone
 
 
 @pytest.fixture(scope="module")
@@ -32,8 +27,7 @@ def results(published):
     def run(params):
         def total(params):
             variables = pcn.variables | {"params": params}
-            indices = partial_indices(partial, config)
-            encoded = encode_points(variables, config, partial, indices)
+            encoded = encode_points(variables, config, partial)
             stages = decode(variables, config, partial, encoded).stages
             each = jax.vmap(lambda s, c: stage_chamfers(s, c, "l1"))(stages, complete)
             losses = each.mean(0)
@@ -110,10 +104,8 @@ def test_training_mode(published):
 
     @jax.jit
     def run(variables, partial):
-        indices = partial_indices(partial, pcn.config)
-        decoded, statistics = train_backbone(
-            variables, pcn.config, partial, indices, num_blocks=0
-        )
+        given = variables, pcn.config, partial
+        decoded, statistics = train_backbone(*given, num_blocks=0)
         return decoded.stages, statistics
 
     (seeds,), updated = run(pcn.variables, pcn.arrays["input"])

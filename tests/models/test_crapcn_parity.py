@@ -10,10 +10,11 @@ import numpy as np
 import pytest
 
 from prism_jax.geometry.neighbors import knn
-from prism_jax.models.decoder import Cloud, SeedGenerator, UpsamplingBlock, sampled_rows
+from prism_jax.models.attention import Cloud
+from prism_jax.models.decoder import SeedGenerator, UpsamplingBlock
 from prism_jax.models.encoder import PointEncoder, PointFeatures, encoder_indices
 from prism_jax.models.layers import over_batch, take
-from prism_jax.models.pyramid import build_pyramid, farthest_order, resolution_rows
+from prism_jax.models.pyramid import build_pyramid, sampled_rows
 
 FEATURES, COORDINATES = 2e-5, 2e-6
 
@@ -29,7 +30,7 @@ def test_encoder(published):
 
     @jax.jit
     def run(variables, partial):
-        indices = over_batch(lambda cloud: encoder_indices(cloud, config))(partial)
+        indices = encoder_indices(partial, config)
         encoded = PointEncoder(config).apply(variables, partial, indices)
         return indices.neighbors[0], encoded
 
@@ -90,11 +91,8 @@ def test_upsampling_block(published, variant, number):
 
     def pyramid_of(query, support):
         clouds = query, support
-        rows = [
-            resolution_rows(farthest_order(c, len(c) // rates[1]), len(c), rates)
-            for c in clouds
-        ]
-        return build_pyramid(*clouds, *rows, config.num_neighbors)
+        orders = (sampled_rows(c, len(c) // rates[1]) for c in clouds)
+        return build_pyramid(*clouds, *orders, rates, config.num_neighbors)
 
     @jax.jit
     def run(variables, xyz, global_feature, support_xyz, support_features):

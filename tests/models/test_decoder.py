@@ -10,7 +10,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from prism_jax.models import decoder
-from prism_jax.models.backbone import decode, encode_points, partial_indices
+from prism_jax.models.backbone import decode, encode_points
 from prism_jax.models.encoder import PointFeatures
 from prism_jax.models.layers import repeat_in_place, take
 
@@ -79,8 +79,7 @@ def test_children_lie_within_reach_of_their_parents(
 
     @quick_jit
     def decoded(variables, partials):
-        indices = partial_indices(partials, backbone)
-        encoded = encode_points(variables, backbone, partials, indices)
+        encoded = encode_points(variables, backbone, partials)
         return decode(variables, backbone, partials, encoded)
 
     found = decoded(variables, partials)

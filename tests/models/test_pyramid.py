@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from scipy.spatial import KDTree
 
-from prism_jax.models.pyramid import build_pyramid, farthest_order, resolution_rows
+from prism_jax.models.pyramid import build_pyramid, sampled_rows
 
 RNG = np.random.default_rng(0)
 RATES, NEIGHBORS = (1, 2, 4), (5, 4, 3)
@@ -25,15 +25,13 @@ def cloud(count, kind="gaussian"):
     return jnp.asarray(points, jnp.float32)
 
 
-def pyramid(query, support, same=False):
-    def rows(cloud):
-        order = farthest_order(cloud, len(cloud) // 2)
-        return resolution_rows(order, len(cloud), RATES)
-
-    return build_pyramid(query, support, rows(query), rows(support), NEIGHBORS, same)
+def pyramid(query, support):
+    clouds = query, support
+    orders = (sampled_rows(cloud, len(cloud) // 2) for cloud in clouds)
+    return build_pyramid(*clouds, *orders, RATES, NEIGHBORS)
 
 
-jit_pyramid = jax.jit(pyramid, static_argnums=2)
+jit_pyramid = jax.jit(pyramid)
 
 
 def assert_nearest(indices, query, support):
@@ -66,7 +64,7 @@ def test_every_level_finds_the_nearest_points(kind):
 
 def test_one_cloud_as_query_and_support():
     clouds = jnp.stack([cloud(32), cloud(32)])
-    shared = jax.jit(jax.vmap(lambda points: pyramid(points, points, True)))(clouds)
+    shared = jax.jit(jax.vmap(lambda points: pyramid(points, points)))(clouds)
     for i, points in enumerate(clouds):
         apart = jit_pyramid(points, points)
         one = jax.tree.map(lambda leaf, i=i: leaf[i], shared)
