@@ -23,7 +23,7 @@ from prism_jax.training.config import MetaTrainConfig
 from prism_jax.training.inputs import inputs_of
 from prism_jax.training.optimisers import optimiser
 from prism_jax.training.parallel import DATA, data_mesh
-from prism_jax.training.phase import Phase, TrainState, steps_of
+from prism_jax.training.phase import Phase, TrainState, averaged, steps_of
 
 WEIGHTS = (*(f"weight_{name}" for name in BRANCHES), "weight_entropy")
 TERMS = ("zero_step", *Losses._fields, "refined", *WEIGHTS, "adapted")
@@ -80,17 +80,13 @@ def _optimisers(training: MetaTrainConfig) -> optax.GradientTransformation:
     """One for each kind of parameter, by its place in `learned_part`."""
     num_steps = steps_of("meta", training.num_samples, training.batch_size)
     kind = training.optimiser
-    make = {"sgd": optax.sgd, "adam": optax.adam}[kind]
-    schedule = training.final_rate, training.warmup_steps, training.clip_norm
-
-    def network(learning_rate: float) -> optax.GradientTransformation:
-        return optimiser(kind, learning_rate, num_steps, *schedule)
-
+    make = optax.sgd if kind == "sgd" else optax.adam
+    limits = training.final_rate, training.warmup_steps, training.clip_norm
     return optax.partition(
         {
-            "backbone": network(training.learning_rate),
-            "auxiliary": network(training.auxiliary_rate),
-            "refiner": network(training.refiner_rate),
+            "backbone": optimiser(kind, training.learning_rate, num_steps, *limits),
+            "auxiliary": optimiser(kind, training.auxiliary_rate, num_steps, *limits),
+            "refiner": optimiser(kind, training.refiner_rate, num_steps, *limits),
             "logits": make(training.weight_rate),
             "log_steps": optax.adam(training.step_rate),
         },
@@ -131,7 +127,9 @@ def _step(
         variables = put_learned(moved, variables)
         weighting = variables["weighting"]
         weighting["scales"] = update_scale(weighting["scales"], terms.losses.auxiliary)
-        average = _averaged(state.average, variables, training.average_decay)
+        average = averaged(state.average, variables, training.average_decay)
+        if average is not None:  # the scales are averages, and start unmeasured, at 0
+            average["weighting"]["scales"] = weighting["scales"]
         state = TrainState(state.step + 1, variables, opt_state, average)
         weights = loss_weights(weighting["logits"])
         losses = (terms.zero_step, *terms.losses, terms.refined)
@@ -156,27 +154,14 @@ def _in_parts(fn: Callable[[Batch], tuple], batch: Batch, at_once: int) -> tuple
     if count == 1:
         return fn(batch)
     parts = jax.tree.map(lambda x: x.reshape(count, -1, *x.shape[1:]), batch)
-    zeros = jax.tree.map(
-        lambda x: jnp.zeros(x.shape, x.dtype),
-        jax.eval_shape(fn, jax.tree.map(lambda x: x[0], parts)),
-    )
+    shapes = jax.eval_shape(fn, jax.tree.map(lambda x: x[0], parts))
+    zeros = jax.tree.map(jnp.zeros_like, shapes)
 
     def add(total: tuple, part: Batch):
         return jax.tree.map(jnp.add, total, fn(part)), None
 
     total, _ = jax.lax.scan(add, zeros, parts)
     return jax.tree.map(lambda x: x / count, total)
-
-
-def _averaged(
-    average: Variables | None, variables: Variables, decay: float
-) -> Variables | None:
-    """But the scales: they are averages already, and start at zero, unmeasured."""
-    if average is None:
-        return None
-    mean = jax.tree.map(lambda a, v: decay * a + (1 - decay) * v, average, variables)
-    mean["weighting"]["scales"] = variables["weighting"]["scales"]
-    return mean
 
 
 def _validation(

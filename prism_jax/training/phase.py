@@ -46,6 +46,15 @@ class TrainState(NamedTuple):
         return self.variables if self.average is None else self.average
 
 
+def averaged(
+    average: Variables | None, variables: Variables, kept: float | Float[Array, ""]
+) -> Variables | None:
+    """The moving average after a step, if there is one, of which this share is kept."""
+    if average is None:
+        return None
+    return jax.tree.map(lambda a, v: kept * a + (1 - kept) * v, average, variables)
+
+
 class Phase(NamedTuple):
     """A stretch of training with one loss and one optimiser."""
 
