@@ -138,9 +138,8 @@ def _terms(
         inputs, depth_features, complete
     )
     width = config.model.auxiliary.token_features
-    tokens_3d = seen.tokens_3d.reshape(-1, width)
-    tokens_depth = seen.tokens_depth.reshape(-1, width)
-    matching = manifold_matching(tokens_3d, tokens_depth, config.adapt.lambda_sigma)
+    tokens = seen.tokens_3d.reshape(-1, width), seen.tokens_depth.reshape(-1, width)
+    matching = manifold_matching(*tokens, config.adapt.lambda_sigma)
     align = matching + config.adapt.lambda_transport * transport.mean()
     normal, denoise, _ = auxiliary.mean(0)
     terms = jnp.stack([refined.mean(), normal, denoise, align])
