@@ -107,10 +107,8 @@ def with_partial(example: Example, rng: np.random.Generator | None = None) -> Ex
         fault = "no complete cloud for training or scoring"
         raise InputError(example.name, fault, "use it for completion only")
     if example.partial is not None:
-        strays = far_outliers(example.partial)
-        if not strays.any():
-            return example
-        return example._replace(partial=example.partial[~strays])
+        sound = ~far_outliers(example.partial)
+        return example._replace(partial=example.partial[sound])
     if rng is None:
         partial = crop(example.complete, CROP_VIEWPOINTS[0], CROP_SHARES["median"])
     else:

@@ -45,17 +45,10 @@ def auxiliary_phase(
     trained = {name: variables["params"][name] for name in TRAINED}
     start = TrainState(jnp.int32(0), variables, both.init(trained))
     key = jax.random.key(seed)
-    return Phase(
-        "auxiliary",
-        training.auxiliary_samples,
-        training.batch_size,
-        training.num_complete,
-        start,
-        _step(config, both, key),
-        _validation(config, key),
-        ("refined", *BRANCHES),
-        ("unrefined", "refined", "losses"),
-    )
+    sizes = training.auxiliary_samples, training.batch_size, training.num_complete
+    step, validate = _step(config, both, key), _validation(config, key)
+    told = ("refined", *BRANCHES), ("unrefined", "refined", "losses")
+    return Phase("auxiliary", *sizes, start, step, validate, *told)
 
 
 def _step(config: PrismConfig, both: optax.GradientTransformation, key: PRNGKeyArray):

@@ -50,17 +50,10 @@ def meta_phase(
     learned = learned_part(variables, training.method)
     average = variables if training.average_decay else None
     key = jax.random.key(seed)
-    return Phase(
-        "meta",
-        training.num_samples,
-        training.batch_size,
-        training.num_complete,
-        TrainState(jnp.int32(0), variables, optimisers.init(learned), average),
-        _step(config, training, optimisers, key),
-        _validation(config),
-        TERMS,
-        SCORES,
-    )
+    sizes = training.num_samples, training.batch_size, training.num_complete
+    start = TrainState(jnp.int32(0), variables, optimisers.init(learned), average)
+    step, validate = _step(config, training, optimisers, key), _validation(config)
+    return Phase("meta", *sizes, start, step, validate, TERMS, SCORES)
 
 
 def check_meta(training: MetaTrainConfig) -> None:
@@ -172,16 +165,14 @@ def _validation(
 
     @jax.jit
     def validate(variables: Variables, batch: Batch):
-        def one(partial, eye, complete, scale, visibility):
-            camera = framed_view(partial, eye)
-            done = complete_frame(variables, partial, camera, visibility)
-            before, after = (
-                chamfer(points, complete) * scale**2
-                for points in (done.before, done.points)
-            )
+        def one(row: Batch):
+            camera = framed_view(row.partial, row.eye)
+            done = complete_frame(variables, row.partial, camera, row.visibility)
+            complete, unit = jnp.asarray(row.complete), row.scale**2
+            before = chamfer(done.before, complete) * unit
+            after = chamfer(done.points, complete) * unit
             return jnp.stack([before, done.accepted.astype(before.dtype), after])
 
-        own = (batch.partial, batch.eye, batch.complete, batch.scale, batch.visibility)
-        return jax.vmap(one)(*jax.tree.map(jnp.asarray, own))
+        return jax.vmap(one)(jax.tree.map(jnp.asarray, batch))
 
     return validate

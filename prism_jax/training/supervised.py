@@ -95,26 +95,17 @@ def supervised_phase(
     def validate(variables: Variables, batch: Batch):
         complete = jnp.asarray(batch.complete)
         stages, scale = stages_fn(variables, batch), jnp.asarray(batch.scale)
-        squared = [jax.vmap(chamfer)(stage, complete) for stage in stages]
+        scores = [jax.vmap(chamfer)(stage, complete) * scale**2 for stage in stages]
         plain = jax.vmap(lambda s, c: chamfer(s, c, "l1"))(stages[-1], complete)
         unseen = jax.vmap(_unseen_f)(stages[-1], jnp.asarray(batch.partial), complete)
-        scores = [distance * scale**2 for distance in squared]
         return jnp.stack([*scores, unseen, jnp.log(plain * scale)], -1)
 
     average = variables if training.average_decay else None
     opt_state = descent.init(variables["params"])
-    return Phase(
-        phase.name,
-        phase.num_samples,
-        training.batch_size,
-        training.num_complete,
-        TrainState(jnp.int32(0), variables, opt_state, average),
-        step,
-        validate,
-        names,
-        (*names, "f_2", "log_cd_l1"),
-        phase.patience,
-    )
+    start = TrainState(jnp.int32(0), variables, opt_state, average)
+    sizes = phase.num_samples, training.batch_size, training.num_complete
+    told = names, (*names, "f_2", "log_cd_l1")
+    return Phase(phase.name, *sizes, start, step, validate, *told, phase.patience)
 
 
 def _unseen_f(
