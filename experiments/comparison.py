@@ -3,8 +3,9 @@
 from collections.abc import Mapping
 from typing import Any, NamedTuple
 
-from prism_jax.evaluation.paired import MEASURES, all_differences
+from experiments.paired import all_differences
 from prism_jax.evaluation.tables import (
+    MEASURES,
     change_cells,
     columns_of,
     percent,

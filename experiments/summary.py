@@ -6,9 +6,8 @@ from typing import Any, NamedTuple
 import numpy as np
 from jaxtyping import Float, Int
 
-from prism_jax.evaluation.bootstrap import mean_intervals
+from experiments.paired import adaptation_effect, mean_intervals
 from prism_jax.evaluation.metrics import Scores
-from prism_jax.evaluation.paired import adaptation_effect
 
 
 class ExampleScores(NamedTuple):

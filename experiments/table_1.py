@@ -19,6 +19,7 @@ from experiments.baselines.trivial import mirrored, training_mean
 from experiments.baselines.weights import load_network, with_weights
 from experiments.comparison import Row, comparison, comparison_markdown
 from experiments.output import prepare_output
+from experiments.paired import NoChangeError, all_differences, paired_difference
 from experiments.scored_run import CompleteFn, Predictions
 from experiments.scoring import (
     define_scoring_flags,
@@ -37,11 +38,6 @@ from experiments.splits import training_split
 from experiments.weights import located
 from prism_jax.cli.launch import launch
 from prism_jax.completion.weights import read_metadata, samples_seen
-from prism_jax.evaluation.paired import (
-    NoChangeError,
-    all_differences,
-    paired_difference,
-)
 from prism_jax.evaluation.tables import COLUMNS, change_cells, score_cells, table_lines
 from prism_jax.io.errors import InputError
 from prism_jax.models.variables import Variables, apply

@@ -1,9 +1,8 @@
 """Examples of any source as batches of arrays, shuffled and resumable, by Grain."""
 
 import dataclasses
-import functools
 import hashlib
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from typing import NamedTuple
 
 import jax
@@ -24,8 +23,6 @@ from prism_jax.preprocessing.visibility_map import seen_among
 
 MAX_TILT = np.deg2rad(20.0)
 """Of training examples whose heading the network finds itself."""
-
-_MOVED = ("partial", "complete", "eye")  # what is turned or mirrored with a batch
 
 ASIDE = 4  # one in so many of those gets a random quarter turn
 
@@ -70,28 +67,23 @@ def frame_example(
     """
     example = with_partial(example, rng)
     assert example.partial is not None and example.complete is not None
-    clouds = {
-        "partial": example.partial,
-        "complete": example.complete,
-        # Before it is turned, so that the order is the same in every heading.
-        "few": first_points(example.partial, framing.num_partial, example.ordered),
-        "many": first_points(example.complete, framing.num_complete, example.ordered),
-    }
-    unit = Workspace.from_points(clouds["complete"], 1.0)
-    eye, visibility = example.eye, example.visibility
+    partial, eye, visibility = example.partial, example.eye, example.visibility
+    # Before they are turned, so that the order is the same in every heading.
+    few = first_points(partial, framing.num_partial, example.ordered)
+    many = first_points(example.complete, framing.num_complete, example.ordered)
+    unit = Workspace.from_points(example.complete, 1.0)
     if visibility is not None and not visibility.state.any():
         visibility = None  # of a packed view of which none was kept
     pose = _pose(example, framing, rng)
     if pose is not None:
-        clouds = {name: cloud @ pose for name, cloud in clouds.items()}
+        partial, few, many = partial @ pose, few @ pose, many @ pose
         eye = None if eye is None else eye @ pose
         visibility = None if visibility is None else turned(visibility, pose)
-    partial = clouds["partial"]
     workspace = workspace_around(partial, eye, framing.margin, heading=framing.heading)
-    seen = observe(clouds["few"], eye, workspace)
+    seen = observe(few, eye, workspace)
     batch = Batch(
         np.asarray(seen.partial, np.float32),
-        np.asarray(workspace.to_unit(clouds["many"]), np.float32),
+        np.asarray(workspace.to_unit(many), np.float32),
         np.asarray(seen.eye, np.float32),
         np.asarray(workspace.half_extent / unit.half_extent, np.float32),
         visibility=framed_map(visibility, workspace),
@@ -99,8 +91,12 @@ def frame_example(
     if rng is None:
         return batch
     if framing.heading == "level" and rng.random() < 1 / ASIDE:
-        batch = _turned(batch, int(rng.integers(4)))
-    return batch if rng.random() < 0.5 else _mirrored(batch)
+        turn = np.rint(_about_vertical(int(rng.integers(4)) * 0.5 * np.pi))
+        batch = _moved(batch, lambda cloud: cloud @ turn, lambda m: turned(m, turn))
+    if rng.random() < 0.5:
+        return batch
+    sign = np.array([-1, 1, 1], np.float32)
+    return _moved(batch, lambda cloud: cloud * sign, mirrored)
 
 
 def with_partial(example: Example, rng: np.random.Generator | None = None) -> Example:
@@ -111,10 +107,8 @@ def with_partial(example: Example, rng: np.random.Generator | None = None) -> Ex
         fault = "no complete cloud for training or scoring"
         raise InputError(example.name, fault, "use it for completion only")
     if example.partial is not None:
-        strays = far_outliers(example.partial)
-        if not strays.any():
-            return example
-        return example._replace(partial=example.partial[~strays])
+        sound = ~far_outliers(example.partial)
+        return example._replace(partial=example.partial[sound])
     if rng is None:
         partial = crop(example.complete, CROP_VIEWPOINTS[0], CROP_SHARES["median"])
     else:
@@ -145,19 +139,19 @@ def training_batches(
         .seed(seed)
         .shuffle()
         .repeat()
-        .random_map(functools.partial(_framed, framing))
+        .random_map(lambda example, rng: frame_example(example, framing, rng))
         .batch(batch_size, batch_fn=stack)
         .slice(slice(start, None))
     )
+    reading = grain.ReadOptions(num_threads=1, prefetch_buffer_size=4)
+    batches = dataset.to_iter_dataset(reading)
     if num_workers == 0:
-        reading = grain.ReadOptions(num_threads=1, prefetch_buffer_size=4)
-        return iter(dataset.to_iter_dataset(reading))
+        return iter(batches)
     if not flags.FLAGS.is_parsed():
         # Grain's processes read absl's flags; not every caller is an absl program.
         flags.FLAGS.mark_as_parsed()
-    reading = grain.ReadOptions(num_threads=1, prefetch_buffer_size=2)
     workers = grain.MultiprocessingOptions(num_workers, per_worker_buffer_size=2)
-    return iter(dataset.to_iter_dataset(reading).mp_prefetch(workers))
+    return iter(batches.mp_prefetch(workers))
 
 
 def stack(rows: Sequence[Batch]) -> Batch:
@@ -174,10 +168,6 @@ def _with_map(row: Batch) -> Batch:
     nothing, cube = row.partial[:0], Workspace.unit()
     visibility = seen_among(row.partial, nothing, row.eye, cube, "empty")
     return row._replace(visibility=framed_map(visibility, cube))
-
-
-def _framed(framing: Framing, example: Example, rng: np.random.Generator) -> Batch:
-    return frame_example(example, framing, rng)
 
 
 def _pose(
@@ -218,17 +208,9 @@ def framed_map(
     return Visibility(camera, unit.state, np.asarray(unit.depth, np.float32))
 
 
-def _turned(batch: Batch, quarters: int) -> Batch:
-    """By quarter turns about the middle of the unit workspace."""
-    turn = np.rint(_about_vertical(quarters * 0.5 * np.pi))
-    visibility = None if batch.visibility is None else turned(batch.visibility, turn)
-    moved = {name: getattr(batch, name) @ turn for name in _MOVED}
-    return batch._replace(**moved, visibility=visibility)
-
-
-def _mirrored(batch: Batch) -> Batch:
-    """Along x, which in the unit workspace is a matter of signs."""
-    sign = np.array([-1, 1, 1], np.float32)
-    visibility = None if batch.visibility is None else mirrored(batch.visibility)
-    moved = {name: getattr(batch, name) * sign for name in _MOVED}
+def _moved(batch: Batch, move: Callable, move_map: Callable) -> Batch:
+    """Turned or mirrored about the middle of the unit workspace."""
+    visibility = None if batch.visibility is None else move_map(batch.visibility)
+    clouds = "partial", "complete", "eye"
+    moved = {name: move(getattr(batch, name)) for name in clouds}
     return batch._replace(**moved, visibility=visibility)

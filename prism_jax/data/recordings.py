@@ -79,12 +79,11 @@ class RecordedCells:
 
     def __init__(self, root: StrPath):
         self.root = pathlib.Path(root)
-        found = _find_frames(self.root)
+        self.frames = _find_frames(self.root)
         if (self.root / MANIFEST).exists():
             manifest = read_manifest(self.root, "let the recording finish")
             check_files(self.root, manifest["files"], _COPY)
-        self.frames = tuple(found)
-        sequences = [sequence for sequence, _ in found]
+        sequences = [sequence for sequence, _ in self.frames]
         self.objects = np.unique(sequences, return_inverse=True)[1]
         self.categories = tuple(dict.fromkeys(map(_category, sequences)))
 
@@ -99,10 +98,10 @@ class RecordedCells:
     def __getitem__(self, index: int) -> Example:
         sequence, name = self.frames[index]
         frame = self.root / sequence / name
-        complete = frame_file(frame, "complete.ply")
-        image = frame_file(frame, "depth.png"), frame_file(frame, "camera.json")
+        image = frame.with_suffix(".depth.png"), frame.with_suffix(".camera.json")
         metres, mask, camera = read_depth(*image)
-        partial = _read_cloud(frame_file(frame, "partial.ply"))
+        partial = _read_cloud(frame.with_suffix(".partial.ply"))
+        complete = frame.with_suffix(".complete.ply")
         return Example(
             complete=_read_cloud(complete) if complete.exists() else None,
             partial=partial,
@@ -114,9 +113,30 @@ class RecordedCells:
         )
 
     def read(self, index: int) -> RecordedFrame:
-        """All of a frame, each file checked against the others."""
-        sequence, name = self.frames[index]
-        return read_frame(self.root / sequence, int(name))
+        """All of a frame. Files that do not fit each other raise InputError: images of
+        another size than the camera's, another unit of depth, a partial cloud that lies
+        elsewhere than the depth image, labels that do not exist."""
+        frame = self.root.joinpath(*self.frames[index])
+        view, image, cloud, complete, labels, joints = (
+            frame.with_suffix(f".{each}") for each in NEEDED + OPTIONAL
+        )
+        metres, mask, camera = read_depth(image, view)
+        scale = json.loads(read_bytes(view))["depth_scale"]
+        if not np.isclose(scale, DEPTH_SCALE, rtol=1e-6):
+            fault = f"depth_scale is {scale:g}, not {DEPTH_SCALE}"
+            raise InputError(view, fault, "convert the image to 0.25 mm per count")
+        if not mask.any():
+            raise InputError(image, "no valid depth pixels", "check the sensor")
+        partial = _read_cloud(cloud)
+        _check_on_image(partial, metres, mask, camera, cloud)
+        return RecordedFrame(
+            depth=np.rint(metres / scale).astype(np.uint16),
+            camera=camera,
+            partial=partial,
+            complete=_read_cloud(complete) if complete.exists() else None,
+            labels=_read_labels(labels, camera) if labels.exists() else None,
+            joints=read_json(joints, _COPY) if joints.exists() else None,
+        )
 
 
 def map_of_image(
@@ -143,64 +163,27 @@ def _category(sequence: str) -> str:
     return "robot cell" if named is None else named[1]
 
 
-def read_frame(folder: StrPath, number: int) -> RecordedFrame:
-    """A frame of a sequence's folder. Files that do not fit each other raise
-    InputError: images of another size than the camera's, another unit of depth, a
-    partial cloud that lies elsewhere than the depth image, labels that do not exist."""
-    path = pathlib.Path(folder) / f"{number:06d}"
-    image, camera_path = frame_file(path, "depth.png"), frame_file(path, "camera.json")
-    metres, mask, camera = read_depth(image, camera_path)
-    scale = json.loads(read_bytes(camera_path))["depth_scale"]
-    if not np.isclose(scale, DEPTH_SCALE, rtol=1e-6):
-        fault = f"depth_scale is {scale:g}, not {DEPTH_SCALE}"
-        raise InputError(camera_path, fault, "convert the image to 0.25 mm per count")
-    if not mask.any():
-        raise InputError(image, "no valid depth pixels", "check the sensor")
-    partial = _read_cloud(frame_file(path, "partial.ply"))
-    _check_on_image(partial, metres, mask, camera, frame_file(path, "partial.ply"))
-    complete, labels = frame_file(path, "complete.ply"), frame_file(path, "labels.png")
-    joints = frame_file(path, "joints.json")
-    return RecordedFrame(
-        depth=np.rint(metres / scale).astype(np.uint16),
-        camera=camera,
-        partial=partial,
-        complete=_read_cloud(complete) if complete.exists() else None,
-        labels=_read_labels(labels, camera) if labels.exists() else None,
-        joints=read_json(joints, _COPY) if joints.exists() else None,
-    )
-
-
-def frame_file(frame: pathlib.Path, suffix: str) -> pathlib.Path:
-    """The path of a frame's file, from the path that its files have in common."""
-    return frame.with_name(f"{frame.name}.{suffix}")
-
-
-def _find_frames(root: pathlib.Path) -> dict[tuple[str, str], list[pathlib.Path]]:
-    """The files of every (sequence, frame), without hidden files and folders."""
+def _find_frames(root: pathlib.Path) -> tuple[tuple[str, str], ...]:
+    """Every (sequence, frame), without hidden files and folders."""
     if not root.is_dir():
         raise InputError(root, "not a folder", "give the folder of the recordings")
-    frames: dict[tuple[str, str], list[pathlib.Path]] = {}
-    for folder in filter(pathlib.Path.is_dir, _shown(root)):
-        for path in _shown(folder):
-            name, _, suffix = path.name.partition(".")
-            if not re.fullmatch(r"[0-9]{6}", name):
-                raise InputError(path, "name is not six digits", _LAYOUT)
-            if suffix not in NEEDED + OPTIONAL:
-                known = " ".join(NEEDED + OPTIONAL)
-                raise InputError(path, f"not one of {known}", "move it elsewhere")
-            frames.setdefault((folder.name, name), []).append(path)
+    frames: dict[tuple[str, str], set[str]] = {}
+    for path in sorted(root.glob("[!.]*/[!.]*")):
+        name, _, suffix = path.name.partition(".")
+        if not re.fullmatch(r"[0-9]{6}", name):
+            raise InputError(path, "name is not six digits", _LAYOUT)
+        if suffix not in NEEDED + OPTIONAL:
+            known = " ".join(NEEDED + OPTIONAL)
+            raise InputError(path, f"not one of {known}", "move it elsewhere")
+        frames.setdefault((path.parent.name, name), set()).add(suffix)
     if not frames:
         raise InputError(root, "no recorded frames", _LAYOUT)
-    for (sequence, name), files in frames.items():
+    for frame, found in frames.items():
         for suffix in NEEDED:
-            path = root / sequence / f"{name}.{suffix}"
-            if path not in files:
+            if suffix not in found:
+                path = root.joinpath(*frame).with_suffix(f".{suffix}")
                 raise InputError(path, "file missing from its frame", _COPY)
-    return frames
-
-
-def _shown(folder: pathlib.Path) -> list[pathlib.Path]:
-    return sorted(path for path in folder.iterdir() if path.name[0] != ".")
+    return tuple(frames)
 
 
 def _read_cloud(path: pathlib.Path) -> Float32[np.ndarray, "N 3"]:

@@ -18,7 +18,7 @@ from typing import Any
 import numpy as np
 from jaxtyping import Float32, Float64, Int
 
-from prism_jax.data.shards import NAMES, Shards, restored
+from prism_jax.data.shards import Shards, restored
 from prism_jax.data.source import Example
 from prism_jax.io.errors import StrPath
 from prism_jax.preprocessing.visibility_map import seen_among
@@ -77,18 +77,15 @@ class Scenes(Shards):
         frames = self._array(shard, "frames")
         starts = np.cumsum([0, *frames[:, 16].astype(int)])
         own = slice(starts[row], starts[row + 1])
-        views = self._array(shard, "views")
-        (things,) = np.nonzero(views[:, 1] == row)
-        names = self._array(shard, NAMES)
-        boxes, clouds = self._array(shard, "box"), self._array(shard, "complete")
+        (items,) = np.nonzero(self.objects == index)
+        things = [Shards.__getitem__(self, int(item)) for item in items]
         name, traits = self._array(shard, TRAITS)[row]
         box = frames[row, :4].astype(np.float32)
-        complete = [restored(clouds[cloud], boxes[cloud]) for cloud in views[things, 0]]
         return LabelledScene(
             points=restored(self._array(shard, "points")[own], box),
             labels=self._array(shard, "labels")[own].astype(int),
-            complete=np.stack(complete),
-            categories=tuple(names[thing][0] for thing in things),
+            complete=np.array([thing.complete for thing in things]),
+            categories=tuple(thing.category for thing in things),
             eye=np.array(frames[row, 4:7]),
             rotation=np.array(frames[row, 7:16]).reshape(3, 3),
             name=name,

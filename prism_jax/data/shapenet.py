@@ -19,7 +19,7 @@ from prism_jax.data.crops import CROP_SHARES, CROP_VIEWPOINTS, crop
 from prism_jax.data.source import Example, sound_cloud
 from prism_jax.io.arrays import read_npy
 from prism_jax.io.errors import InputError, StrPath, choose
-from prism_jax.io.files import read_bytes
+from prism_jax.io.files import parsing, read_bytes
 
 SUBSETS = {
     "ShapeNet-55": ("train", "test"),
@@ -103,10 +103,9 @@ class ShapeNet:
 
 def _listed(path: pathlib.Path) -> tuple[str, ...]:
     """The names of a list's clouds, none twice."""
-    try:
-        lines = read_bytes(path).decode().splitlines()
-    except UnicodeDecodeError:
-        raise InputError(path, "not a text file", _TAKE_LIST) from None
+    data = read_bytes(path)
+    with parsing(path, "a text file", _TAKE_LIST):
+        lines = data.decode().splitlines()
     files = tuple(line.strip() for line in lines if line.strip())
     for file in files:
         if not re.fullmatch(_LINE, file):

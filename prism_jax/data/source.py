@@ -8,8 +8,6 @@ from jaxtyping import Float, Float32, Int
 from prism_jax.geometry.visibility import Visibility
 from prism_jax.io.errors import InputError, StrPath
 
-_COPY_AGAIN = "copy this file again from the data set"
-
 
 class Example(NamedTuple):
     """One object or scene: the clouds as their source has them, none resampled."""
@@ -59,14 +57,15 @@ def sound_cloud(
     points: Float[np.ndarray, "N 3"], subject: StrPath, num_points: int | None = None
 ) -> Float32[np.ndarray, "N 3"]:
     """The points as float32; none, another count, or a NaN raises InputError."""
-    if len(points) == 0:
-        fault = f"array of shape {points.shape} and type {points.dtype}"
-        raise InputError(subject, f"{fault} is not a cloud", _COPY_AGAIN)
-    if num_points is not None and len(points) != num_points:
-        fault = f"{len(points)} points instead of {num_points}"
-        raise InputError(subject, fault, _COPY_AGAIN)
     with np.errstate(over="ignore"):
         cloud = np.ascontiguousarray(points, np.float32)
-    if not np.isfinite(cloud).all():
-        raise InputError(subject, "some points are not finite", _COPY_AGAIN)
-    return cloud
+    if len(points) == 0:
+        kind = f"shape {points.shape} and type {points.dtype}"
+        fault = f"array of {kind} is not a cloud"
+    elif num_points is not None and len(points) != num_points:
+        fault = f"{len(points)} points instead of {num_points}"
+    elif not np.isfinite(cloud).all():
+        fault = "some points are not finite"
+    else:
+        return cloud
+    raise InputError(subject, fault, "copy this file again from the data set")

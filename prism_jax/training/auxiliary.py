@@ -45,17 +45,10 @@ def auxiliary_phase(
     trained = {name: variables["params"][name] for name in TRAINED}
     start = TrainState(jnp.int32(0), variables, both.init(trained))
     key = jax.random.key(seed)
-    return Phase(
-        "auxiliary",
-        training.auxiliary_samples,
-        training.batch_size,
-        training.num_complete,
-        start,
-        _step(config, both, key),
-        _validation(config, key),
-        ("refined", *BRANCHES),
-        ("unrefined", "refined", "losses"),
-    )
+    sizes = training.auxiliary_samples, training.batch_size, training.num_complete
+    step, validate = _step(config, both, key), _validation(config, key)
+    told = ("refined", *BRANCHES), ("unrefined", "refined", "losses")
+    return Phase("auxiliary", *sizes, start, step, validate, *told)
 
 
 def _step(config: PrismConfig, both: optax.GradientTransformation, key: PRNGKeyArray):
@@ -138,9 +131,8 @@ def _terms(
         inputs, depth_tokens, complete
     )
     width = config.model.auxiliary.token_features
-    tokens_3d = seen.tokens_3d.reshape(-1, width)
-    tokens_depth = seen.tokens_depth.reshape(-1, width)
-    matching = manifold_matching(tokens_3d, tokens_depth, config.adapt.lambda_sigma)
+    tokens = seen.tokens_3d.reshape(-1, width), seen.tokens_depth.reshape(-1, width)
+    matching = manifold_matching(*tokens, config.adapt.lambda_sigma)
     align = matching + config.adapt.lambda_transport * transport.mean()
     normal, denoise, _ = auxiliary.mean(0)
     terms = jnp.stack([refined.mean(), normal, denoise, align])

@@ -23,7 +23,7 @@ from prism_jax.training.config import MetaTrainConfig
 from prism_jax.training.inputs import inputs_of
 from prism_jax.training.optimisers import optimiser
 from prism_jax.training.parallel import DATA, data_mesh
-from prism_jax.training.phase import Phase, TrainState, steps_of
+from prism_jax.training.phase import Phase, TrainState, averaged, steps_of
 
 WEIGHTS = (*(f"weight_{name}" for name in BRANCHES), "weight_entropy")
 TERMS = ("zero_step", *Losses._fields, "refined", *WEIGHTS, "adapted")
@@ -50,17 +50,10 @@ def meta_phase(
     learned = learned_part(variables, training.method)
     average = variables if training.average_decay else None
     key = jax.random.key(seed)
-    return Phase(
-        "meta",
-        training.num_samples,
-        training.batch_size,
-        training.num_complete,
-        TrainState(jnp.int32(0), variables, optimisers.init(learned), average),
-        _step(config, training, optimisers, key),
-        _validation(config),
-        TERMS,
-        SCORES,
-    )
+    sizes = training.num_samples, training.batch_size, training.num_complete
+    start = TrainState(jnp.int32(0), variables, optimisers.init(learned), average)
+    step, validate = _step(config, training, optimisers, key), _validation(config)
+    return Phase("meta", *sizes, start, step, validate, TERMS, SCORES)
 
 
 def check_meta(training: MetaTrainConfig) -> None:
@@ -80,17 +73,13 @@ def _optimisers(training: MetaTrainConfig) -> optax.GradientTransformation:
     """One for each kind of parameter, by its place in `learned_part`."""
     num_steps = steps_of("meta", training.num_samples, training.batch_size)
     kind = training.optimiser
-    make = {"sgd": optax.sgd, "adam": optax.adam}[kind]
-    schedule = training.final_rate, training.warmup_steps, training.clip_norm
-
-    def network(learning_rate: float) -> optax.GradientTransformation:
-        return optimiser(kind, learning_rate, num_steps, *schedule)
-
+    make = optax.sgd if kind == "sgd" else optax.adam
+    limits = training.final_rate, training.warmup_steps, training.clip_norm
     return optax.partition(
         {
-            "backbone": network(training.learning_rate),
-            "auxiliary": network(training.auxiliary_rate),
-            "refiner": network(training.refiner_rate),
+            "backbone": optimiser(kind, training.learning_rate, num_steps, *limits),
+            "auxiliary": optimiser(kind, training.auxiliary_rate, num_steps, *limits),
+            "refiner": optimiser(kind, training.refiner_rate, num_steps, *limits),
             "logits": make(training.weight_rate),
             "log_steps": optax.adam(training.step_rate),
         },
@@ -131,7 +120,9 @@ def _step(
         variables = put_learned(moved, variables)
         weighting = variables["weighting"]
         weighting["scales"] = update_scale(weighting["scales"], terms.losses.auxiliary)
-        average = _averaged(state.average, variables, training.average_decay)
+        average = averaged(state.average, variables, training.average_decay)
+        if average is not None:  # the scales are averages, and start unmeasured, at 0
+            average["weighting"]["scales"] = weighting["scales"]
         state = TrainState(state.step + 1, variables, opt_state, average)
         weights = loss_weights(weighting["logits"])
         losses = (terms.zero_step, *terms.losses, terms.refined)
@@ -156,27 +147,14 @@ def _in_parts(fn: Callable[[Batch], tuple], batch: Batch, at_once: int) -> tuple
     if count == 1:
         return fn(batch)
     parts = jax.tree.map(lambda x: x.reshape(count, -1, *x.shape[1:]), batch)
-    zeros = jax.tree.map(
-        lambda x: jnp.zeros(x.shape, x.dtype),
-        jax.eval_shape(fn, jax.tree.map(lambda x: x[0], parts)),
-    )
+    shapes = jax.eval_shape(fn, jax.tree.map(lambda x: x[0], parts))
+    zeros = jax.tree.map(jnp.zeros_like, shapes)
 
     def add(total: tuple, part: Batch):
         return jax.tree.map(jnp.add, total, fn(part)), None
 
     total, _ = jax.lax.scan(add, zeros, parts)
     return jax.tree.map(lambda x: x / count, total)
-
-
-def _averaged(
-    average: Variables | None, variables: Variables, decay: float
-) -> Variables | None:
-    """But the scales: they are averages already, and start at zero, unmeasured."""
-    if average is None:
-        return None
-    mean = jax.tree.map(lambda a, v: decay * a + (1 - decay) * v, average, variables)
-    mean["weighting"]["scales"] = variables["weighting"]["scales"]
-    return mean
 
 
 def _validation(
@@ -187,16 +165,14 @@ def _validation(
 
     @jax.jit
     def validate(variables: Variables, batch: Batch):
-        def one(partial, eye, complete, scale, visibility):
-            camera = framed_view(partial, eye)
-            done = complete_frame(variables, partial, camera, visibility)
-            before, after = (
-                chamfer(points, complete) * scale**2
-                for points in (done.before, done.points)
-            )
+        def one(row: Batch):
+            camera = framed_view(row.partial, row.eye)
+            done = complete_frame(variables, row.partial, camera, row.visibility)
+            complete, unit = jnp.asarray(row.complete), row.scale**2
+            before = chamfer(done.before, complete) * unit
+            after = chamfer(done.points, complete) * unit
             return jnp.stack([before, done.accepted.astype(before.dtype), after])
 
-        own = (batch.partial, batch.eye, batch.complete, batch.scale, batch.visibility)
-        return jax.vmap(one)(*jax.tree.map(jnp.asarray, own))
+        return jax.vmap(one)(jax.tree.map(jnp.asarray, batch))
 
     return validate

@@ -27,12 +27,12 @@ def check_batch(batch_size: int) -> None:
         raise InputError("batch_size", fault, remedy)
 
 
-def replicate(tree: Tree, mesh: Mesh) -> Tree:
+def replicate(tree: Tree) -> Tree:
     """The same values on every device; host arrays or replicated ones go in."""
-    return jax.device_put(jax.device_get(tree), NamedSharding(mesh, PartitionSpec()))
+    everywhere = NamedSharding(data_mesh(), PartitionSpec())
+    return jax.device_put(jax.device_get(tree), everywhere)
 
 
-def share(batch: Tree, mesh: Mesh) -> Tree:
+def share(batch: Tree) -> Tree:
     """A batch along the data axis."""
-    sharding = NamedSharding(mesh, PartitionSpec(DATA))
-    return jax.tree.map(lambda rows: jax.device_put(rows, sharding), batch)
+    return jax.device_put(batch, NamedSharding(data_mesh(), PartitionSpec(DATA)))

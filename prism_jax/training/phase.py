@@ -46,6 +46,15 @@ class TrainState(NamedTuple):
         return self.variables if self.average is None else self.average
 
 
+def averaged(
+    average: Variables | None, variables: Variables, kept: float | Float[Array, ""]
+) -> Variables | None:
+    """The moving average after a step, if there is one, of which this share is kept."""
+    if average is None:
+        return None
+    return jax.tree.map(lambda a, v: kept * a + (1 - kept) * v, average, variables)
+
+
 class Phase(NamedTuple):
     """A stretch of training with one loss and one optimiser."""
 
@@ -106,28 +115,22 @@ def train_phase(
     ends the phase; only what is validated can be the best.
     """
     parallel.check_batch(phase.batch_size)
-    mesh = parallel.data_mesh()
     checkpoints = Checkpoints(folder / phase.name)
-    start = parallel.replicate(phase.start, mesh)
-    state = parallel.replicate(checkpoints.restore(start) or start, mesh)
+    start = parallel.replicate(phase.start)
+    state = parallel.replicate(checkpoints.restore(start) or start)
     num_steps = steps_of(phase.name, phase.num_samples, phase.batch_size)
     step = int(state.step)
     validate_steps = max(1, data.validate_every // phase.batch_size)
     stale = _is_stale(phase, checkpoints, step - step % validate_steps)
     last = num_steps if max_steps is None else min(num_steps, max_steps)
-    batches = training_batches(
-        data.train,
-        data.framing(phase.num_complete),
-        phase.batch_size,
-        order_seed(data.seed, phase.name),
-        data.num_workers,
-        step,
-    )
+    framing, seed = data.framing(phase.num_complete), order_seed(data.seed, phase.name)
+    order = phase.batch_size, seed, data.num_workers, step
+    batches = training_batches(data.train, framing, *order)
     log = Log(folder, phase.name, phase.num_samples, step, phase.batch_size)
     recent, before = [], None
     saved = time.monotonic()
     while step < last and not stale:
-        batch = parallel.share(next(batches), mesh)
+        batch = parallel.share(next(batches))
         state, losses = phase.step_fn(state, batch)
         recent.append(losses)
         step += 1
@@ -141,8 +144,7 @@ def train_phase(
                 fault = f"{phase.name}: loss {mean} before step {step}"
                 raise FloatingPointError(fault)
             recent.clear()
-            log.write(step, losses=_named(phase.terms, mean))
-            log.show(**{phase.terms[-1]: float(mean[-1])})
+            log.write(step, losses=dict(zip(phase.terms, mean.tolist(), strict=True)))
         is_due = step % LOG_EVERY == 0 and time.monotonic() - saved > SAVE_SECONDS
         if not (at_validation or is_due or step == last):
             continue
@@ -155,7 +157,12 @@ def train_phase(
         score = None
         if at_validation:
             scores = validate(phase, data, state.kept)
-            log.write(step, validation=_by_set(phase.scores, scores))
+            named = {
+                f"{part}/{name}": float(value)
+                for part, values in scores.items()
+                for name, value in zip(phase.scores, values, strict=True)
+            }
+            log.write(step, validation=named)
             score = float(np.mean([each[-1] for each in scores.values()]))
         checkpoints.save(step, state, score)
         stale = at_validation and _is_stale(phase, checkpoints, step)
@@ -190,31 +197,19 @@ def steps_of(name: str, num_samples: int, batch_size: int) -> int:
     return num_samples // batch_size
 
 
-def _named(names: tuple[str, ...], values: np.ndarray) -> dict[str, float]:
-    return dict(zip(names, values.tolist(), strict=True))
-
-
-def _by_set(
-    names: tuple[str, ...], scores: Mapping[str, np.ndarray]
-) -> dict[str, float]:
-    found = {part: _named(names, values) for part, values in scores.items()}
-    return {f"{part}/{k}": v for part, each in found.items() for k, v in each.items()}
-
-
 def validate(
     phase: Phase, data: Data, variables: Variables
 ) -> dict[str, Float[np.ndarray, " S"]]:
     """Mean scores over each validation set, in batches of the training's size. The last
     is filled up from the first example; what is scored twice counts once."""
-    size, mesh = phase.batch_size, parallel.data_mesh()
-    framing = data.framing(VALIDATION_COMPLETE)
+    size, framing = phase.batch_size, data.framing(VALIDATION_COMPLETE)
     means = {}
     for name, source in data.validation.items():
         count, scores = len(source), []
         for start in range(0, count, size):
             rows = (np.arange(start, start + size) % count).tolist()
             batch = stack([frame_example(source[row], framing) for row in rows])
-            scored = phase.validate_fn(variables, parallel.share(batch, mesh))
+            scored = phase.validate_fn(variables, parallel.share(batch))
             scores.append(np.asarray(scored)[: count - start])
         means[name] = np.concatenate(scores).mean(0)
     return means

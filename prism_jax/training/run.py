@@ -29,13 +29,10 @@ class Log:
         """Moves the bar."""
         self._bar.update(samples)
 
-    def show(self, **values: float) -> None:
-        """Shows values beside the bar."""
-        text = {key: f"{value:.4g}" for key, value in values.items()}
-        self._bar.set_postfix(text, refresh=False)
-
     def write(self, step: int, **values: dict[str, float]) -> None:
-        """Adds a line."""
+        """Adds a line, and shows the last of its losses beside the bar."""
+        for name, loss in [*values.get("losses", {}).items()][-1:]:
+            self._bar.set_postfix({name: f"{loss:.4g}"}, refresh=False)
         seconds = max(time.monotonic() - self._start, 1e-9)
         rate = (self._bar.n - self._bar.initial) / seconds
         line = {"phase": self._name, "step": step, "samples": self._bar.n}

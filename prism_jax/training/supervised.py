@@ -18,7 +18,7 @@ from prism_jax.models.variables import Variables
 from prism_jax.training.config import PhaseConfig, PretrainConfig
 from prism_jax.training.inputs import visibility_of
 from prism_jax.training.optimisers import optimiser
-from prism_jax.training.phase import Phase, TrainState, steps_of
+from prism_jax.training.phase import Phase, TrainState, averaged, steps_of
 
 Stages = tuple[Float[Array, "B _ 3"], ...]
 
@@ -34,9 +34,9 @@ def backbone_phase(
     names = ("seeds", *(f"stage_{i + 1}" for i in range(blocks)))
 
     def train(variables: Variables, batch: Batch) -> tuple[Stages, Variables]:
-        partial = jnp.asarray(batch.partial)
+        partial, visibility = jnp.asarray(batch.partial), visibility_of(batch, config)
         decoded, statistics = backbone.train_backbone(
-            variables, config, partial, phase.num_blocks, visibility_of(batch, config)
+            variables, config, partial, phase.num_blocks, visibility
         )
         return decoded.stages, statistics
 
@@ -83,33 +83,27 @@ def supervised_phase(
         updates, opt_state = descent.update(grads, state.opt_state, params)
         params = optax.apply_updates(params, updates)
         variables = {"params": params, "batch_stats": statistics}
-        average = averaged(state, variables, training.average_decay)
+        # It forgets sooner at first, so that it soon is one of trained variables.
+        kept = (1.0 + state.step) / (10.0 + state.step)
+        kept = jnp.minimum(training.average_decay, kept)
+        average = averaged(state.average, variables, kept)
         return TrainState(state.step + 1, variables, opt_state, average), losses
 
     @jax.jit
     def validate(variables: Variables, batch: Batch):
         complete = jnp.asarray(batch.complete)
         stages, scale = stages_fn(variables, batch), jnp.asarray(batch.scale)
-        squared = [jax.vmap(chamfer)(stage, complete) for stage in stages]
+        scores = [jax.vmap(chamfer)(stage, complete) * scale**2 for stage in stages]
         plain = jax.vmap(lambda s, c: chamfer(s, c, "l1"))(stages[-1], complete)
         unseen = jax.vmap(_unseen_f)(stages[-1], jnp.asarray(batch.partial), complete)
-        scores = [distance * scale**2 for distance in squared]
         return jnp.stack([*scores, unseen, jnp.log(plain * scale)], -1)
 
     average = variables if training.average_decay else None
     opt_state = descent.init(variables["params"])
-    return Phase(
-        phase.name,
-        phase.num_samples,
-        training.batch_size,
-        training.num_complete,
-        TrainState(jnp.int32(0), variables, opt_state, average),
-        step,
-        validate,
-        names,
-        (*names, "f_2", "log_cd_l1"),
-        phase.patience,
-    )
+    start = TrainState(jnp.int32(0), variables, opt_state, average)
+    sizes = phase.num_samples, training.batch_size, training.num_complete
+    told = names, (*names, "f_2", "log_cd_l1")
+    return Phase(phase.name, *sizes, start, step, validate, *told, phase.patience)
 
 
 def _unseen_f(
@@ -132,14 +126,3 @@ def _unseen_f(
 
     precision, recall = share(points, complete, 0.0), share(complete, points, 1.0)
     return 2 * precision * recall / jnp.maximum(precision + recall, 1e-12)
-
-
-def averaged(state: TrainState, variables: Variables, decay: float) -> Variables | None:
-    """The moving average after a step. It forgets sooner at first, so that it soon is
-    one of trained variables."""
-    if state.average is None:
-        return None
-    kept = jnp.minimum(decay, (1.0 + state.step) / (10.0 + state.step))
-    return jax.tree.map(
-        lambda old, new: kept * old + (1.0 - kept) * new, state.average, variables
-    )

@@ -11,13 +11,7 @@ from scipy.spatial import cKDTree
 from experiments.assets import CELLS
 from experiments.simulation.recorder import has_frame, write_frame
 from prism_jax.data.manifest import MANIFEST, hash_files
-from prism_jax.data.recordings import (
-    DEPTH_SCALE,
-    LABELS,
-    RecordedCells,
-    RecordedFrame,
-    read_frame,
-)
+from prism_jax.data.recordings import DEPTH_SCALE, LABELS, RecordedCells, RecordedFrame
 from prism_jax.data.source import Source
 from prism_jax.geometry.camera import Camera
 from prism_jax.geometry.visibility import NEARER, SURFACE, UNKNOWN, look_up
@@ -72,10 +66,11 @@ def root(tmp_path):
 def test_a_frame_comes_back_bit_for_bit(tmp_path, complete):
     """Written again, it leaves nothing of the old one."""
     written = frame(complete)
-    write_frame(tmp_path, 7, frame())
-    write_frame(tmp_path, 7, written)
-    assert has_frame(tmp_path, 7) and not has_frame(tmp_path, 8)
-    read = read_frame(tmp_path, 7)
+    folder = tmp_path / "one"
+    write_frame(folder, 7, frame())
+    write_frame(folder, 7, written)
+    assert has_frame(folder, 7) and not has_frame(folder, 8)
+    read = RecordedCells(tmp_path).read(0)
     for name in ("depth", "partial", "complete", "labels"):
         first, second = getattr(written, name), getattr(read, name)
         if first is None:

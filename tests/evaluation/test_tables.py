@@ -4,8 +4,7 @@ import numpy as np
 
 from experiments.summary import ExampleScores, summarise
 from prism_jax.evaluation.metrics import Scores
-from prism_jax.evaluation.paired import MEASURES
-from prism_jax.evaluation.tables import markdown
+from prism_jax.evaluation.tables import MEASURES, markdown
 
 NAMED = {
     "data": "shapes",

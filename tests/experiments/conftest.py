@@ -7,18 +7,19 @@ import sys
 
 import pytest
 
+from experiments import paired
 from experiments import scored_run as evaluation
 from experiments.simulation.shapes.build import ShapesConfig, build_shapes
-from prism_jax.evaluation import bootstrap, scoring
+from prism_jax.evaluation import scoring
 from tests.experiments.boxes import boxes as boxes
 
 
 @pytest.fixture(scope="module", autouse=True)
 def quick_scores():
-    """`tests/evaluation` has intervals and distances of as many draws and points as the
-    figures have."""
+    """`test_paired` has intervals of as many draws as the figures have, and
+    `tests/evaluation` distances of as many points."""
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(bootstrap, "_RESAMPLES", 50)
+        patch.setattr(paired, "_RESAMPLES", 50)
         for module in (scoring, evaluation):
             patch.setattr(module, "EMD_POINTS", 64)
         yield

@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 
 from experiments import scoring
+from experiments.paired import paired_difference
 from experiments.protocol import (
     NORMALISATIONS,
     Protocol,
@@ -19,7 +20,6 @@ from prism_jax.completion.assembly import Task, assemble
 from prism_jax.completion.options import CompletionOptions
 from prism_jax.data.source import Example
 from prism_jax.evaluation import metrics
-from prism_jax.evaluation.paired import paired_difference
 from prism_jax.evaluation.scoring import CLOUDS
 from prism_jax.geometry.workspace import Workspace
 from prism_jax.io import InputError

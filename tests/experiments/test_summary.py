@@ -5,8 +5,8 @@ import json
 import numpy as np
 import pytest
 
+from experiments import paired
 from experiments.summary import ExampleScores, summarise
-from prism_jax.evaluation import bootstrap
 from prism_jax.evaluation.metrics import Scores
 
 METRICS = Scores._fields
@@ -60,7 +60,7 @@ def test_what_examples_lack_is_left_out_and_accepted_is_a_share():
 
 
 def test_intervals_agree_with_the_normal_approximation(monkeypatch):
-    monkeypatch.setattr(bootstrap, "_RESAMPLES", 2000)
+    monkeypatch.setattr(paired, "_RESAMPLES", 2000)
     values = np.random.default_rng(1).normal(10.0, 2.0, 400)
     found = result(values)
     kept = found["per_example"]["clouds"]["network"]["cd_l2"]

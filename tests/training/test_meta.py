@@ -76,9 +76,8 @@ def phase_of(variables):
 
 def steps(phase, batch, count):
     """The states after each step, the first of all at the front, and their terms."""
-    mesh = parallel.data_mesh()
-    states, terms = [parallel.replicate(phase.start, mesh)], []
-    batch = parallel.share(batch, mesh)
+    states, terms = [parallel.replicate(phase.start)], []
+    batch = parallel.share(batch)
     for _ in range(count):
         state, measured = phase.step_fn(states[-1], batch)
         states.append(state)

@@ -84,12 +84,11 @@ def main(root, weights):
 
 def test_a_batch_is_split_and_a_state_is_not():
     """What is not there stays that."""
-    mesh = parallel.data_mesh()
-    assert list(mesh.devices) == jax.devices()
+    assert list(parallel.data_mesh().devices) == jax.devices()
     batch = {"a": np.ones((8, 3), np.float32), "b": np.arange(8, dtype=np.uint16)}
-    shared = parallel.share({**batch, "none": None}, mesh)
+    shared = parallel.share({**batch, "none": None})
     state = TrainState(jnp.int32(3), {"params": {"w": np.ones(2)}}, (), None)
-    again = parallel.replicate(parallel.replicate(state, mesh), mesh)
+    again = parallel.replicate(parallel.replicate(state))
     assert jax.tree.structure(again) == jax.tree.structure(state)
     assert shared.pop("none") is None
     for tree, axes in ((shared, [parallel.DATA]), (again, [])):

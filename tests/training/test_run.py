@@ -18,7 +18,6 @@ def test_log_lines(tmp_path, monkeypatch):
     log = Log(tmp_path, "seeds", total=64, step=2, batch_size=8)
     now[0] += 6.0
     log.advance(8)
-    log.show(loss=0.25)
     log.write(3, losses={"a": 0.5, "b": 0.25})
     now[0] += 2.0
     log.write(3, validation={"c": 1.0})

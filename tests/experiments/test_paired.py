@@ -4,14 +4,15 @@ them."""
 import numpy as np
 import pytest
 
-from prism_jax.evaluation.paired import (
-    MEASURES,
-    adaptation_effect,
-    all_differences,
-    paired_difference,
-)
+from experiments.paired import adaptation_effect, all_differences, paired_difference
+from prism_jax.evaluation.tables import MEASURES
 
 RNG = np.random.default_rng(1)
+
+
+@pytest.fixture
+def quick_scores():
+    """Nothing: as many draws as the figures have."""
 
 
 def result(values, views=1, categories=None, **clouds):
