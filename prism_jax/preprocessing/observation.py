@@ -46,11 +46,7 @@ _resample = jax.jit(resample, static_argnums=1)
 _farthest = jax.jit(farthest_point_sample, static_argnums=1)
 
 
-@functools.partial(
-    jax.tree_util.register_dataclass,
-    data_fields=["partial", "eye", "workspace", "inside", "sensor_known"],
-    meta_fields=[],
-)
+@jax.tree_util.register_dataclass
 @dataclasses.dataclass(frozen=True)
 class Observation:
     """Points and a sensor in the unit workspace, and the way back.
@@ -82,7 +78,7 @@ class Observation:
 
         In float32 and the unit workspace. Differentiable.
         """
-        return _framing(*map(_single, (self.partial, self.eye)))
+        return _framing(self.partial, self.eye)
 
     @functools.cached_property
     def cloud(self) -> IndexedCloud:
@@ -127,7 +123,7 @@ class Observation:
         camera = jax.tree.map(_double, camera)
         left, _, right = np.linalg.svd(camera.rotation)
         exact = dataclasses.replace(camera, rotation=left @ right)
-        return _doubled(self.workspace).camera_from_unit(exact)
+        return jax.tree.map(_double, self.workspace).camera_from_unit(exact)
 
 
 def observe(
@@ -183,7 +179,7 @@ def _framed(
         # Rounding must not leave out what decided the cube.
         inside = ~strays | _within(partial)
     else:
-        workspace = _doubled(frame) if xp is np else frame
+        workspace = jax.tree.map(_double, frame) if xp is np else frame
         if workspace.rotation is None:
             workspace = dataclasses.replace(workspace, rotation=upright(up))
         partial = workspace.to_unit(points)
@@ -281,16 +277,6 @@ def _within(unit: Any) -> Any:
 
 def _numpy_of(points: Any) -> Any:
     return jnp if isinstance(points, jax.Array) else np
-
-
-def _single(array: Any) -> Array:
-    """JAX arrays as they are, NumPy's in JAX's default float."""
-    return array if isinstance(array, jax.Array) else jnp.asarray(array, float)
-
-
-def _doubled(workspace: Workspace) -> Workspace:
-    doubled: Any = jax.tree.map(_double, workspace)
-    return doubled
 
 
 def _double(array: Any) -> np.ndarray:
