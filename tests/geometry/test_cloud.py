@@ -43,8 +43,8 @@ def test_lines_of_sight():
     cloud = IndexedCloud(points)
     sights = cloud.sights(eye)
     assert cloud.sights(eye.copy()) is sights
-    directions = np.asarray(sights.tree.data)
-    np.testing.assert_allclose(eye + directions * sights.distance[:, None], points[::2])
+    directions = np.asarray(sights[0].data)
+    np.testing.assert_allclose(eye + directions * sights[1][:, None], points[::2])
 
 
 def test_of_very_many_points_some_are_taken_and_the_density_is_that_of_all(monkeypatch):
