@@ -33,10 +33,3 @@ def weighted_auxiliary(
     that is zero, not measured yet. Differentiable in `logits` and `losses`."""
     scales = jax.lax.stop_gradient(jnp.where(scales > 0, scales, 1.0))
     return jnp.sum(loss_weights(logits) * losses / scales)
-
-
-def entropy(weights: Float[Array, " K"]) -> Float[Array, ""]:
-    """Entropy of the weights in nats: log K when equal, zero when one has it all. To be
-    logged: it falls as the weights drift to a single loss."""
-    tiny = jnp.finfo(weights.dtype).tiny
-    return -jnp.sum(weights * jnp.log(jnp.maximum(weights, tiny)))
