@@ -17,7 +17,7 @@ from prism_jax.adaptation.test_time import make_adapt
 from prism_jax.data.pipeline import Batch
 from prism_jax.io.errors import InputError
 from prism_jax.losses.chamfer import chamfer
-from prism_jax.losses.weighting import BRANCHES, loss_weights, update_scale
+from prism_jax.losses.weighting import BRANCHES, update_scale
 from prism_jax.models.variables import Variables
 from prism_jax.preprocessing.observation import framed_view
 from prism_jax.training.config import MetaTrainConfig
@@ -134,7 +134,7 @@ def _step(
         weighting["scales"] = update_scale(weighting["scales"], terms.losses.auxiliary)
         average = _averaged(state.average, variables, training.average_decay)
         state = TrainState(state.step + 1, variables, opt_state, average)
-        weights = loss_weights(weighting["logits"])
+        weights = jax.nn.softmax(weighting["logits"])
         losses = (terms.zero_step, *terms.losses, terms.refined)
         measured = [*losses, *weights, entr(weights).sum(), terms.adapted]
         return state, jnp.stack(measured)
