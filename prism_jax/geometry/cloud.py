@@ -37,13 +37,15 @@ class IndexedCloud:
         return points if isinstance(points, IndexedCloud) else cls(points)
 
     @classmethod
-    def of_enough(cls, points: Float[np.ndarray, "N 3"]) -> "IndexedCloud":
-        """Of `ENOUGH` points at most, drawn at random, the same ones each time."""
+    def of_enough(
+        cls, points: Float[np.ndarray, "N 3"], most: int = ENOUGH
+    ) -> "IndexedCloud":
+        """Of so many points at most, drawn at random, the same ones each time."""
         count = len(points)
-        if count <= ENOUGH:
+        if count <= most:
             return cls(points)
-        drawn = np.random.default_rng(0).choice(count, ENOUGH, False, shuffle=False)
-        return cls(points[np.sort(drawn)], ENOUGH / count)
+        drawn = np.random.default_rng(0).choice(count, most, False, shuffle=False)
+        return cls(points[np.sort(drawn)], most / count)
 
     def __len__(self) -> int:
         return len(self.points)
