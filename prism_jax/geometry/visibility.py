@@ -118,11 +118,11 @@ def seen_by(
     # Within the margin, or the image's edge would be part of a hole.
     reach = jnp.minimum(reach, MAP_SIZE / 8)
     surface, nearest = closed(hit, reach)
-    depth = jnp.where(surface, depth.ravel()[nearest], 0.0)
-    state = jnp.where(surface, SURFACE, UNKNOWN)
+    around, beyond = UNKNOWN, 0.0
     if background == "empty":
-        state = jnp.where(surface, SURFACE, BACKGROUND)
-        depth = jnp.where(surface, depth, 2.0 * z.max())
+        around, beyond = BACKGROUND, 2.0 * z.max()
+    depth = jnp.where(surface, depth.ravel()[nearest], beyond)
+    state = jnp.where(surface, SURFACE, around)
     return Visibility(camera, state.astype(jnp.uint8), depth)
 
 
