@@ -12,7 +12,6 @@ from prism_jax.adaptation.inner_loop import step_sizes, unroll
 from prism_jax.adaptation.objective import Losses, test_time_objective
 from prism_jax.geometry.camera import Camera
 from prism_jax.geometry.visibility import Visibility
-from prism_jax.losses.weighting import loss_weights
 from prism_jax.models.poses import in_other_poses, to_original_frame
 from prism_jax.models.prism import hold_decoding, prepare_input
 from prism_jax.models.variables import Variables, pop_encoders, put_encoders
@@ -85,7 +84,7 @@ def make_adapt(config: PrismConfig = PrismConfig()) -> AdaptFn:
         if model.poses > 1:
             others = in_other_poses(partial, camera, key, model, visibility)
         encoders, rest = pop_encoders(variables)
-        weights = loss_weights(variables["weighting"]["logits"])
+        weights = jax.nn.softmax(variables["weighting"]["logits"])
         if settings.num_steps == 0:
             every = jax.tree.map(lambda leaf: leaf[None], inputs)
             if others is not None:

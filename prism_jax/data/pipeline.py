@@ -14,7 +14,7 @@ from scipy.spatial.transform import Rotation
 from prism_jax.data.crops import CROP_SHARES, CROP_VIEWPOINTS, crop, random_crop
 from prism_jax.data.ordering import first_points
 from prism_jax.data.source import Example, Source
-from prism_jax.geometry.visibility import Visibility, mirrored, to_unit, turned
+from prism_jax.geometry.visibility import Visibility, mirrored, turned
 from prism_jax.geometry.workspace import Workspace
 from prism_jax.io.errors import InputError, require
 from prism_jax.preprocessing.observation import Heading, observe, workspace_around
@@ -203,9 +203,10 @@ def framed_map(
     not say."""
     if visibility is None:
         return None
-    unit = to_unit(visibility, workspace)
-    camera = jax.tree.map(lambda array: np.asarray(array, np.float32), unit.camera)
-    return Visibility(camera, unit.state, np.asarray(unit.depth, np.float32))
+    camera = workspace.camera_to_unit(visibility.camera)
+    camera = jax.tree.map(lambda array: np.asarray(array, np.float32), camera)
+    depth = np.asarray(visibility.depth / workspace.half_extent, np.float32)
+    return Visibility(camera, visibility.state, depth)
 
 
 def _moved(batch: Batch, move: Callable, move_map: Callable) -> Batch:

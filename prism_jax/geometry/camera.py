@@ -1,7 +1,6 @@
 """A pinhole camera in the OpenCV convention, as a pytree."""
 
 import dataclasses
-import functools
 from collections.abc import Sequence
 from typing import Any
 
@@ -19,11 +18,7 @@ MIN_DEPTH = 1e-6
 """Points whose depth is not greater than this count as behind the camera."""
 
 
-@functools.partial(
-    jax.tree_util.register_dataclass,
-    data_fields=["rotation", "translation", "intrinsics"],
-    meta_fields=["height", "width"],
-)
+@jax.tree_util.register_dataclass
 @dataclasses.dataclass(frozen=True)
 class Camera:
     """A calibrated pinhole view: ``x = R p + t`` and ``(u, v) = K x / z``.
@@ -41,8 +36,8 @@ class Camera:
     rotation: Float[Array | np.ndarray, "*batch 3 3"]
     translation: Float[Array | np.ndarray, "*batch 3"]
     intrinsics: Float[Array | np.ndarray, "*batch 3 3"]
-    height: int
-    width: int
+    height: int = dataclasses.field(metadata={"static": True})
+    width: int = dataclasses.field(metadata={"static": True})
 
     @property
     @exact_products

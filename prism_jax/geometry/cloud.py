@@ -1,7 +1,7 @@
 """A cloud, and what several steps ask of it, in NumPy and double precision."""
 
 import functools
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 from jaxtyping import Array, Float, Int
@@ -23,20 +23,13 @@ def cell_codes(index: Int[np.ndarray, "N D"]) -> Int[np.ndarray, " N"]:
     return np.unique(index, axis=0, return_inverse=True)[1].ravel()
 
 
-class Sights(NamedTuple):
-    """Lines of sight from a sensor to what it measured."""
-
-    tree: KDTree  # of their directions
-    distance: Float[np.ndarray, " N"]  # along each of them
-
-
 class IndexedCloud:
     """Points whose tree, spacing and density are computed once, when first needed."""
 
     def __init__(self, points: Float[Array | np.ndarray, "N 3"], share: float = 1.0):
         self.points = np.asarray(points, np.float64)
         self.share = share  # of the points that there are
-        self._sights: dict[bytes, Sights] = {}
+        self._sights: dict[bytes, tuple[KDTree, Float[np.ndarray, " N"]]] = {}
 
     @classmethod
     def of(cls, points: Any) -> "IndexedCloud":
@@ -44,13 +37,15 @@ class IndexedCloud:
         return points if isinstance(points, IndexedCloud) else cls(points)
 
     @classmethod
-    def of_enough(cls, points: Float[np.ndarray, "N 3"]) -> "IndexedCloud":
-        """Of `ENOUGH` points at most, drawn at random, the same ones each time."""
+    def of_enough(
+        cls, points: Float[np.ndarray, "N 3"], most: int = ENOUGH
+    ) -> "IndexedCloud":
+        """Of so many points at most, drawn at random, the same ones each time."""
         count = len(points)
-        if count <= ENOUGH:
+        if count <= most:
             return cls(points)
-        drawn = np.random.default_rng(0).choice(count, ENOUGH, False, shuffle=False)
-        return cls(points[np.sort(drawn)], ENOUGH / count)
+        drawn = np.random.default_rng(0).choice(count, most, False, shuffle=False)
+        return cls(points[np.sort(drawn)], most / count)
 
     def __len__(self) -> int:
         return len(self.points)
@@ -102,15 +97,17 @@ class IndexedCloud:
         nearest: Any = [min(k, len(self))]
         return np.asarray(self.tree.query(points, k=nearest)[0])[:, 0]
 
-    def sights(self, eye: Float[np.ndarray, "3"]) -> Sights:
-        """Lines of sight to the points from a sensor at `eye`; the cloud is not
-        empty."""
+    def sights(
+        self, eye: Float[np.ndarray, "3"]
+    ) -> tuple[KDTree, Float[np.ndarray, " N"]]:
+        """Lines of sight to the points from a sensor at `eye`: a tree of their
+        directions, and the distance along each. The cloud is not empty."""
         eye = np.asarray(eye, np.float64)
         key = eye.tobytes()
         if key not in self._sights:
             every = -(-len(self) // MAX_SIGHTS)
             directions, distance = sight(self.points[::every], eye)
-            self._sights[key] = Sights(KDTree(directions), distance)
+            self._sights[key] = KDTree(directions), distance
         return self._sights[key]
 
 

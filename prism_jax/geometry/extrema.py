@@ -32,18 +32,12 @@ def inserted(
 
     What falls off the end is lost. Of equal values the one that came first stays first.
     """
-    values, indices = lists
-    lower = [new < value for value in values]
-    # Each place takes the new entry, keeps its own, or takes the one before it.
-    entries = [
-        (jnp.where(low, new, value), jnp.where(low, index, old))
-        for low, value, old in zip(lower, values, indices, strict=True)
-    ]
-    for i in range(1, len(values)):
-        moves, (value, old) = lower[i - 1], entries[i]
-        entries[i] = (
-            jnp.where(moves, values[i - 1], value),
-            jnp.where(moves, indices[i - 1], old),
-        )
-    found, places = zip(*entries, strict=True)
-    return found, places
+    lower = [new < value for value in lists[0]]
+
+    def sunk(old: Sequence[Array], item: Array) -> tuple[Array, ...]:
+        # Each place takes the new entry, keeps its own, or takes the one before it.
+        taken = [jnp.where(low, item, own) for low, own in zip(lower, old, strict=True)]
+        moved = map(jnp.where, lower[:-1], old[:-1], taken[1:])
+        return (taken[0], *moved)
+
+    return sunk(lists[0], new), sunk(lists[1], index)

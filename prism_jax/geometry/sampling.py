@@ -35,16 +35,12 @@ def farthest_point_sample(
     chosen_from = jnp.ones(points.shape[0], bool)
     if skip_near_origin:
         chosen_from = (points**2).sum(-1) > NEAR_ORIGIN
-    first = jnp.asarray(start, jnp.int32)
+    arrays = points, chosen_from, jnp.asarray(start, jnp.int32)
+    search = functools.partial(_farthest_indices, num_samples=num_samples)
     if points.shape[0] > kernels.MAX_FARTHEST_POINTS:
-        return _farthest_indices(points, chosen_from, first, num_samples)
-    return kernels.by_platform(
-        functools.partial(kernels.farthest_indices, num_samples=num_samples),
-        functools.partial(_farthest_indices, num_samples=num_samples),
-        points,
-        chosen_from,
-        first,
-    )
+        return search(*arrays)
+    kernel = functools.partial(kernels.farthest_indices, num_samples=num_samples)
+    return kernels.by_platform(kernel, search, *arrays)
 
 
 def _farthest_indices(

@@ -5,7 +5,6 @@ where both kinds are allowed.
 """
 
 import dataclasses
-import functools
 from typing import Any, Literal, NamedTuple
 
 import jax
@@ -17,7 +16,6 @@ from prism_jax.geometry.camera import MIN_DEPTH, Camera, Vector
 from prism_jax.geometry.neighbors import knn
 from prism_jax.geometry.precision import exact_products
 from prism_jax.geometry.render import render_depth
-from prism_jax.geometry.workspace import Workspace
 
 UNKNOWN, SURFACE, NEARER, BACKGROUND = range(4)
 """States of a pixel: nothing was measured; the object was; something nearer was, which
@@ -26,7 +24,6 @@ hides all behind it; or what lies beyond the object."""
 MAP_SIZE = 64  # pixels of the side of the maps that are made and stored
 MAP_MARGIN = 1.4  # of a map around the object's points: it sees past the silhouette
 CLOSED = 3.0  # in spacings of the points: holes in a cloud that are no wider are closed
-ABOUT = 2  # what is measured so many pixels away may as well be measured here
 
 Background = Literal["unknown", "empty"]
 """What lies around a cloud in its sensor's view: nobody knows, or nothing was hit."""
@@ -69,13 +66,6 @@ def turned(
     camera = visibility.camera
     camera = dataclasses.replace(camera, rotation=camera.rotation @ turn)
     return visibility._replace(camera=camera)
-
-
-def to_unit(visibility: Visibility, workspace: Workspace) -> Visibility:
-    """The same of points in the unit of a workspace."""
-    camera, state, depth = visibility
-    unit = workspace.camera_to_unit(camera)
-    return Visibility(unit, state, depth / workspace.half_extent)
 
 
 def mirrored(visibility: Visibility) -> Visibility:
@@ -128,11 +118,11 @@ def seen_by(
     # Within the margin, or the image's edge would be part of a hole.
     reach = jnp.minimum(reach, MAP_SIZE / 8)
     surface, nearest = closed(hit, reach)
-    depth = jnp.where(surface, depth.ravel()[nearest], 0.0)
-    state = jnp.where(surface, SURFACE, UNKNOWN)
+    around, beyond = UNKNOWN, 0.0
     if background == "empty":
-        state = jnp.where(surface, SURFACE, BACKGROUND)
-        depth = jnp.where(surface, depth, 2.0 * z.max())
+        around, beyond = BACKGROUND, 2.0 * z.max()
+    depth = jnp.where(surface, depth.ravel()[nearest], beyond)
+    state = jnp.where(surface, SURFACE, around)
     return Visibility(camera, state.astype(jnp.uint8), depth)
 
 
@@ -144,13 +134,6 @@ def closed(
     counts as marked."""
     apart, nearest = nearest_marked(marked)
     return marked | (nearest_marked(apart > reach)[0] > reach), nearest
-
-
-def surface_alone(visibility: Visibility) -> Visibility:
-    """The same without what lies around the surface, as if only it had been kept."""
-    camera, state, depth = visibility
-    kept = state == SURFACE
-    return Visibility(camera, state * kept, depth * kept)
 
 
 def nearest_marked(
@@ -199,25 +182,6 @@ def visibility_features(
     away = jnp.minimum(read[:, 5] * z / camera.intrinsics[0, 0], 1.0)
     away = jnp.where(z > MIN_DEPTH, away, 1.0)
     return jnp.concatenate([read[:, :4], behind[:, None], away[:, None]], axis=1)
-
-
-def free_depth(visibility: Visibility) -> Float[Array | np.ndarray, "H W"]:
-    """How far each pixel of one map is free for sure: to the nearest of all depths that
-    were measured within `ABOUT` of it, rows and columns alike; 0 where nothing was.
-    Between points and at edges a pixel's own depth is a neighbour's. No gradient."""
-    xp: Any = jnp if any(isinstance(leaf, jax.Array) for leaf in visibility[1:]) else np
-    known = xp.asarray(visibility.state) != UNKNOWN
-    depth = visibility.depth if xp is np else jax.lax.stop_gradient(visibility.depth)
-    nearest = xp.where(known, depth, xp.inf)
-    for axis in (0, 1):
-        around = [(ABOUT, ABOUT) if axis == of else (0, 0) for of in (0, 1)]
-        padded = xp.pad(nearest, around, constant_values=xp.inf)
-        windows = [
-            xp.take(padded, xp.arange(known.shape[axis]) + step, axis)
-            for step in range(2 * ABOUT + 1)
-        ]
-        nearest = functools.reduce(xp.minimum, windows)
-    return xp.where(known, nearest, 0.0).astype(depth.dtype)
 
 
 def interpolated(

@@ -43,16 +43,15 @@ class Workspace:
 
     def tree_flatten_with_keys(self):
         """The fields with their names, for JAX."""
-        names = [field.name for field in dataclasses.fields(self)]
         key = jax.tree_util.GetAttrKey
-        return [(key(name), getattr(self, name)) for name in names], None
+        return [(key(name), leaf) for name, leaf in vars(self).items()], None
 
     @classmethod
     def tree_unflatten(cls, _: None, leaves: Any) -> "Workspace":
         """Without a check: a gradient has the same structure and may be negative."""
         self = object.__new__(cls)
-        for field, leaf in zip(dataclasses.fields(cls), leaves, strict=True):
-            object.__setattr__(self, field.name, leaf)
+        names = (field.name for field in dataclasses.fields(cls))
+        vars(self).update(zip(names, leaves, strict=True))
         return self
 
     @classmethod
@@ -118,13 +117,11 @@ class Workspace:
         if points.shape[0] == 0:
             raise ValueError("a workspace cannot be taken from an empty cloud")
         along = points if rotation is None else points @ rotation.T
-        if where is None:
-            lower, upper = along.min(axis=0), along.max(axis=0)
-        else:
-            lower = along.min(axis=0, where=where[:, None], initial=np.inf)
-            upper = along.max(axis=0, where=where[:, None], initial=-np.inf)
-        xp = jnp if isinstance(lower, jax.Array) else np
-        lower, upper = xp.asarray(lower, float), xp.asarray(upper, float)
+        xp = jnp if isinstance(along, jax.Array) else np
+        along = xp.asarray(along, float)
+        counted = True if where is None else where[:, None]
+        lower = along.min(axis=0, where=counted, initial=np.inf)
+        upper = along.max(axis=0, where=counted, initial=-np.inf)
         half_extent = 0.5 * margin * (upper - lower).max(axis=-1)
         half_extent = xp.where(half_extent > 0, half_extent, 1.0)
         center = 0.5 * (lower + upper)

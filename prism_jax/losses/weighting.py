@@ -12,11 +12,6 @@ BRANCHES: tuple[Branch, ...] = get_args(Branch)
 """The auxiliary losses, Eq. 5, 6 and 9, in the order of their weights."""
 
 
-def loss_weights(logits: Float[Array, " K"]) -> Float[Array, " K"]:
-    """w = softmax(eta): positive weights that sum to one."""
-    return jax.nn.softmax(logits)
-
-
 def update_scale(
     scale: Float[Array, " K"], values: Float[Array, " K"], decay: float = 0.99
 ) -> Float[Array, " K"]:
@@ -29,14 +24,8 @@ def update_scale(
 def weighted_auxiliary(
     logits: Float[Array, " K"], losses: Float[Array, " K"], scales: Float[Array, " K"]
 ) -> Float[Array, ""]:
-    """Eq. 11: the softmax-weighted sum of the losses, each divided by its scale, unless
-    that is zero, not measured yet. Differentiable in `logits` and `losses`."""
+    """Eq. 11: the sum of the losses, weighted by softmax(logits), each divided by its
+    scale, unless that is zero, not measured yet. Differentiable in `logits` and
+    `losses`."""
     scales = jax.lax.stop_gradient(jnp.where(scales > 0, scales, 1.0))
-    return jnp.sum(loss_weights(logits) * losses / scales)
-
-
-def entropy(weights: Float[Array, " K"]) -> Float[Array, ""]:
-    """Entropy of the weights in nats: log K when equal, zero when one has it all. To be
-    logged: it falls as the weights drift to a single loss."""
-    tiny = jnp.finfo(weights.dtype).tiny
-    return -jnp.sum(weights * jnp.log(jnp.maximum(weights, tiny)))
+    return jnp.sum(jax.nn.softmax(logits) * losses / scales)

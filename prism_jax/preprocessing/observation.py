@@ -11,7 +11,7 @@ from jaxtyping import Array, Bool, Float
 
 from prism_jax.geometry.camera import Camera, Vector
 from prism_jax.geometry.cloud import IndexedCloud
-from prism_jax.geometry.sampling import farthest_point_sample, resample
+from prism_jax.geometry.sampling import farthest_point_sample
 from prism_jax.geometry.workspace import CUBE_MARGIN, Workspace
 from prism_jax.preprocessing.heading import level_heading
 from prism_jax.preprocessing.outliers import far_outliers
@@ -42,15 +42,10 @@ FAR_ORIGIN = 100.0
 within the workspace is an object's own, whose coordinates were centred."""
 
 _framing = jax.jit(Camera.framing)
-_resample = jax.jit(resample, static_argnums=1)
 _farthest = jax.jit(farthest_point_sample, static_argnums=1)
 
 
-@functools.partial(
-    jax.tree_util.register_dataclass,
-    data_fields=["partial", "eye", "workspace", "inside", "sensor_known"],
-    meta_fields=[],
-)
+@jax.tree_util.register_dataclass
 @dataclasses.dataclass(frozen=True)
 class Observation:
     """Points and a sensor in the unit workspace, and the way back.
@@ -82,7 +77,7 @@ class Observation:
 
         In float32 and the unit workspace. Differentiable.
         """
-        return _framing(*map(_single, (self.partial, self.eye)))
+        return _framing(self.partial, self.eye)
 
     @functools.cached_property
     def cloud(self) -> IndexedCloud:
@@ -97,14 +92,10 @@ class Observation:
         how many are inside must be known. Clouds of any size need few compilations.
         """
         points = self.cloud.points.astype(np.float32)
-        count = len(points)
-        points = padded(points, num_points)
-        if count >= num_points:
-            chosen = _resample(points, num_points)
-        else:
-            # All of them come before the copies.
-            order = np.asarray(_farthest(points, num_points))[:count]
-            chosen = jnp.asarray(points[np.resize(order, num_points)])
+        # Where there are fewer, all of them come before the copies.
+        order = np.asarray(_farthest(padded(points, num_points), num_points))
+        order = np.resize(order[: len(points)], num_points)
+        chosen = jnp.asarray(points[order])
         inside = np.ones(num_points, bool)
         return dataclasses.replace(self, partial=chosen, inside=inside)
 
@@ -114,7 +105,7 @@ class Observation:
         For where the number of points is fixed, as under ``jit``.
         """
         first = self.partial[self.inside.argmax()]
-        xp = _numpy_of(self.partial)
+        xp: Any = jnp if isinstance(self.partial, jax.Array) else np
         filled = xp.where(self.inside[:, None], self.partial, first)
         return dataclasses.replace(self, partial=filled)
 
@@ -127,7 +118,7 @@ class Observation:
         camera = jax.tree.map(_double, camera)
         left, _, right = np.linalg.svd(camera.rotation)
         exact = dataclasses.replace(camera, rotation=left @ right)
-        return _doubled(self.workspace).camera_from_unit(exact)
+        return jax.tree.map(_double, self.workspace).camera_from_unit(exact)
 
 
 def observe(
@@ -174,20 +165,19 @@ def _framed(
     up: str | Vector,
 ) -> Observation:
     """What was observed, with the sensor where it is said to be."""
-    xp = _numpy_of(points)
+    xp: Any = jnp if isinstance(points, jax.Array) else np
+    counted = False  # points by which the cube is decided
     if not isinstance(frame, Workspace):
-        strays = far_outliers(points)
-        framing = frame.margin, up, frame.heading, ~strays
+        counted = ~far_outliers(points)
+        framing = frame.margin, up, frame.heading, counted
         workspace = workspace_around(points, sensor, *framing)
-        partial = workspace.to_unit(points)
-        # Rounding must not leave out what decided the cube.
-        inside = ~strays | _within(partial)
     else:
-        workspace = _doubled(frame) if xp is np else frame
+        workspace = jax.tree.map(_double, frame) if xp is np else frame
         if workspace.rotation is None:
             workspace = dataclasses.replace(workspace, rotation=upright(up))
-        partial = workspace.to_unit(points)
-        inside = _within(partial)
+    partial = workspace.to_unit(points)
+    # Rounding must not leave out what decided the cube.
+    inside = _within(partial) | counted
     eye, known = _place(sensor, workspace, xp)
     return Observation(partial, eye, workspace, inside, known)
 
@@ -211,7 +201,7 @@ def workspace_around(
     workspace = Workspace.from_points(points, margin, upright(up), where)
     if heading == "given":
         return workspace
-    xp = _numpy_of(points)
+    xp: Any = jnp if isinstance(points, jax.Array) else np
     eye, known = _place(sensor, workspace, xp)
     counting = xp.ones(points.shape[0], bool) if where is None else where
     turn = level_heading(workspace.to_unit(points), eye, known, counting)
@@ -240,10 +230,9 @@ def compile_sampling(num_points: int, most: int) -> None:
 
     A quarter of a second for each power of two, for who cannot wait in between.
     """
-    size = len(padded(np.zeros((num_points, 3), np.float32), num_points))
-    jax.block_until_ready(_farthest(np.zeros((size, 3), np.float32), num_points))
+    size = len(padded(np.zeros((num_points, 3), np.float32)))
     while True:
-        jax.block_until_ready(_resample(np.zeros((size, 3), np.float32), num_points))
+        jax.block_until_ready(_farthest(np.zeros((size, 3), np.float32), num_points))
         if size >= most:
             return
         size *= 2
@@ -277,20 +266,6 @@ def _place(sensor: Any, workspace: Workspace, xp: Any) -> tuple[Any, Any]:
 
 def _within(unit: Any) -> Any:
     return (abs(unit) <= 1.0).all(axis=-1)
-
-
-def _numpy_of(points: Any) -> Any:
-    return jnp if isinstance(points, jax.Array) else np
-
-
-def _single(array: Any) -> Array:
-    """JAX arrays as they are, NumPy's in JAX's default float."""
-    return array if isinstance(array, jax.Array) else jnp.asarray(array, float)
-
-
-def _doubled(workspace: Workspace) -> Workspace:
-    doubled: Any = jax.tree.map(_double, workspace)
-    return doubled
 
 
 def _double(array: Any) -> np.ndarray:

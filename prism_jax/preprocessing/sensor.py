@@ -34,14 +34,12 @@ def likely_eye(
     each other least, and bulge towards the sensor; the farther below the object, the
     less likely it is. It turns and moves with the points, up to rounding.
     """
-    unit, frame = _in_own_axes(_some(points))
+    unit, frame = _in_own_axes(points)
     directions = _directions()
     scores = []
     for direction in directions:
         across, along = _seen_along(unit, direction)
-        nearest, cell = _nearest(across, along)
-        covered = np.isfinite(nearest).sum() / CELLS**2
-        hidden = (nearest[cell] - along > BEHIND).mean()
+        covered, hidden = _shares(across, along)
         aside = ((across - across.mean(axis=0)) ** 2).sum(axis=1)
         spread = max(float(aside.std()), 1e-9)
         bulge = -((along - along.mean()) * aside).mean() / spread
@@ -61,7 +59,7 @@ def is_believable(
 ) -> bool:
     """Whether a sensor at `eye` may have measured an object, of which `likely` is the
     `likely_eye`."""
-    _, frame = _in_own_axes(_some(points))
+    _, frame = _in_own_axes(points)
     one, other = frame.to_unit(np.stack([eye, likely]))
     size = np.linalg.norm(one) * np.linalg.norm(other)
     if one @ other > np.cos(APART) * size:
@@ -74,7 +72,7 @@ def hidden_share(
 ) -> float:
     """Of the points, those that others would have hidden from a sensor at `eye`. All of
     them, if the eye is among them."""
-    unit, frame = _in_own_axes(_some(points))
+    unit, frame = _in_own_axes(points)
     toward = frame.to_unit(np.asarray(eye, np.float64))
     distance = float(np.linalg.norm(toward))
     if distance <= 1.0:
@@ -82,8 +80,7 @@ def hidden_share(
     across, along = _seen_along(unit, toward / distance)  # pyright: ignore
     # As wide as the ball is from there.
     across = across / (distance - along)[:, None] * np.sqrt(distance**2 - 1.0)
-    nearest, cell = _nearest(across, along)
-    return float((nearest[cell] - along > BEHIND).mean())
+    return _shares(across, along)[1]
 
 
 def is_closed(points: Float[np.ndarray, "N 3"], thickness: float = 0.0) -> bool:
@@ -93,7 +90,7 @@ def is_closed(points: Float[np.ndarray, "N 3"], thickness: float = 0.0) -> bool:
     Fewer than `MAX_POINTS` points are never closed."""
     if len(points) < MAX_POINTS:
         return False
-    cells = thin(_some(points, MOST), CELLS_ALONG)[0]
+    cells = thin(points[:: -(-len(points) // MOST)], CELLS_ALONG)[0]
     rows = np.linspace(0, len(cells) - 1, min(len(cells), SAMPLE)).astype(int)
     unit, frame = _in_own_axes(cells[rows])
     if len(unit) < SAMPLE // 2 or thickness > THICKEST * float(frame.half_extent):
@@ -123,17 +120,13 @@ def _seen(unit: np.ndarray, eye: np.ndarray) -> Bool[np.ndarray, " N"]:
     return np.isin(np.arange(len(unit)), hull.vertices)
 
 
-def _some(points: np.ndarray, most: int = MAX_POINTS) -> Float[np.ndarray, "M 3"]:
-    every = -(-len(points) // most)
-    return np.asarray(points[::every], np.float64)
-
-
 def _in_own_axes(
-    points: Float[np.ndarray, "M 3"],
+    points: Float[np.ndarray, "N 3"],
 ) -> tuple[Float[np.ndarray, "M 3"], Workspace]:
-    """The points in the unit ball about the middle of their box, along axes that turn
-    with them, and the way there. Their principal axes, the first two in the direction
-    of positive skewness."""
+    """`MAX_POINTS` points at most in the unit ball about the middle of their box, along
+    axes that turn with them, and the way there. Their principal axes, the first two in
+    the direction of positive skewness."""
+    points = np.asarray(points[:: -(-len(points) // MAX_POINTS)], np.float64)
     mean = points.mean(axis=0)
     around = points - mean
     axes = np.linalg.eigh(around.T @ around)[1].T
@@ -164,13 +157,11 @@ def _seen_along(
     return unit @ axes.T, unit @ direction
 
 
-def _nearest(
-    across: np.ndarray, along: np.ndarray
-) -> tuple[Float[np.ndarray, " C"], np.ndarray]:
-    """The largest coordinate along the direction in each cell of the image, and the
-    cell of each point."""
+def _shares(across: np.ndarray, along: np.ndarray) -> tuple[float, float]:
+    """How much of the image the points cover, and how many of them are hidden."""
     place = np.clip(np.floor((across + 1.0) * (CELLS / 2)), 0, CELLS - 1).astype(int)
     cell = place[:, 0] * CELLS + place[:, 1]
     nearest = np.full(CELLS**2, -np.inf)
     np.maximum.at(nearest, cell, along)
-    return nearest, cell
+    hidden = nearest[cell] - along > BEHIND
+    return float(np.isfinite(nearest).mean()), float(hidden.mean())

@@ -9,18 +9,9 @@ from prism_jax.geometry.camera import Vector
 from prism_jax.io.errors import InputError
 from prism_jax.io.scan import parse_numbers
 
-_TURNS = {
-    "x": [[0, 0, -1], [0, 1, 0], [1, 0, 0]],
-    "y": [[1, 0, 0], [0, 0, -1], [0, 1, 0]],
-    "z": None,
-    "-x": [[0, 0, 1], [0, 1, 0], [-1, 0, 0]],
-    "-y": [[1, 0, 0], [0, 0, 1], [0, -1, 0]],
-    "-z": [[1, 0, 0], [0, -1, 0], [0, 0, -1]],
-}
-
 AUTO = "auto"  # up is to be found in the points
 
-UP_AXES = tuple(_TURNS)  # the names that `upright` knows
+UP_AXES = ("x", "y", "z", "-x", "-y", "-z")  # the names that `upright` knows
 
 _REMEDY = f"use one of {', '.join(UP_AXES)}, or three numbers such as 0,-0.8,-0.6"
 
@@ -33,10 +24,13 @@ def upright(up: str | Vector) -> Float64[np.ndarray, "3 3"] | None:
     """
     if not isinstance(up, str):
         return _smallest_turn(_unit(up, "up", _REMEDY))
-    if up not in _TURNS:
+    if up not in UP_AXES:
         raise InputError(f"up={up}", "no such axis", _REMEDY)
-    turn = _TURNS[up]
-    return None if turn is None else np.array(turn, np.float64)
+    if up == "z":
+        return None
+    axis = np.eye(3)["xyz".index(up[-1])]
+    turn = _smallest_turn(-axis if up[0] == "-" else axis)
+    return turn + 0.0  # without signed zeros
 
 
 def parse_up(text: str) -> str | Float64[np.ndarray, "3"]:

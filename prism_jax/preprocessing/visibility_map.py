@@ -2,6 +2,7 @@
 
 import numpy as np
 from jaxtyping import Bool, Float, Int
+from scipy.ndimage import minimum_filter
 from scipy.spatial import KDTree
 
 from prism_jax.geometry.camera import MIN_DEPTH, Camera
@@ -17,12 +18,12 @@ from prism_jax.geometry.visibility import (
     Background,
     Visibility,
     closed,
-    free_depth,
     look_up,
 )
 from prism_jax.geometry.workspace import CUBE_MARGIN, Workspace
 
 BEHIND = 0.03  # so near its far side, in half sides, nothing of a workspace is hidden
+ABOUT = 2  # what is measured so many pixels away may as well be measured here
 MAX_REACH = MAP_SIZE // 8  # in pixels: holes of up to twice that are closed
 FEW = 1024  # points by which the spacing of a larger cloud is taken
 DENSE = 4 * MAP_SIZE**2  # so many points on a map leave no holes between them
@@ -90,13 +91,16 @@ def in_free_space(
     points: Float[np.ndarray, "P 3"], visibility: Visibility, tolerance: float
 ) -> Bool[np.ndarray, " P"]:
     """Which points a sensor looked past the object and through: all that it measured
-    about their pixels (`prism_jax.geometry.visibility.free_depth`) lies more than
-    `tolerance` behind them, and in their own pixel it is not the object.
+    within `ABOUT` of their pixels, rows and columns alike, lies more than `tolerance`
+    behind them, and in their own pixel it is not the object.
 
     None where nothing was measured, and none beside the map. One frame and unit. NumPy.
     """
-    own = Visibility(visibility.camera, *map(np.asarray, visibility[1:]))
-    state, behind = look_up(own._replace(depth=free_depth(own)), points)
+    state, depth = map(np.asarray, visibility[1:])
+    # Between points and at edges a pixel's own depth is a neighbour's.
+    depth = np.where(state == UNKNOWN, np.inf, depth)
+    depth = minimum_filter(depth, 2 * ABOUT + 1, mode="constant", cval=np.inf)
+    state, behind = look_up(Visibility(visibility.camera, state, depth), points)
     return np.asarray((state > SURFACE) & (behind < -tolerance))
 
 

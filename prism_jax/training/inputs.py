@@ -5,7 +5,7 @@ import jax.numpy as jnp
 from jaxtyping import Array, Key
 
 from prism_jax.data.pipeline import Batch
-from prism_jax.geometry.visibility import Visibility, seen_by, surface_alone
+from prism_jax.geometry.visibility import SURFACE, UNKNOWN, Visibility, seen_by
 from prism_jax.models.config import BackboneConfig, ModelConfig
 from prism_jax.models.prism import NetworkInput, prepare_input
 from prism_jax.preprocessing.observation import framed_view
@@ -39,8 +39,8 @@ def visibility_of(batch: Batch, config: BackboneConfig) -> Visibility | None:
     else:
         whole = jax.tree.map(jnp.asarray, batch.visibility)
     alone = (jnp.arange(len(partial)) % 2 == 1)[:, None, None]
-    less = surface_alone(whole)
+    left_out = alone & (whole.state != SURFACE)
     return whole._replace(
-        state=jnp.where(alone, less.state, whole.state),
-        depth=jnp.where(alone, less.depth, whole.depth),
+        state=jnp.where(left_out, UNKNOWN, whole.state),
+        depth=jnp.where(left_out, 0.0, whole.depth),
     )

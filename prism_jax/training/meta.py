@@ -6,6 +6,7 @@ from collections.abc import Callable
 import jax
 import jax.numpy as jnp
 import optax
+from jax.scipy.special import entr
 from jax.sharding import PartitionSpec
 from jaxtyping import Array, Float, PRNGKeyArray
 
@@ -16,7 +17,7 @@ from prism_jax.adaptation.test_time import make_adapt
 from prism_jax.data.pipeline import Batch
 from prism_jax.io.errors import InputError
 from prism_jax.losses.chamfer import chamfer
-from prism_jax.losses.weighting import BRANCHES, entropy, loss_weights, update_scale
+from prism_jax.losses.weighting import BRANCHES, update_scale
 from prism_jax.models.variables import Variables
 from prism_jax.preprocessing.observation import framed_view
 from prism_jax.training.config import MetaTrainConfig
@@ -124,9 +125,9 @@ def _step(
         if average is not None:  # the scales are averages, and start unmeasured, at 0
             average["weighting"]["scales"] = weighting["scales"]
         state = TrainState(state.step + 1, variables, opt_state, average)
-        weights = loss_weights(weighting["logits"])
+        weights = jax.nn.softmax(weighting["logits"])
         losses = (terms.zero_step, *terms.losses, terms.refined)
-        measured = [*losses, *weights, entropy(weights), terms.adapted]
+        measured = [*losses, *weights, entr(weights).sum(), terms.adapted]
         return state, jnp.stack(measured)
 
     return jax.jit(

@@ -21,7 +21,6 @@ from prism_jax.geometry.visibility import (
     nearest_marked,
     nothing_known,
     seen_by,
-    surface_alone,
     visibility_features,
 )
 
@@ -171,9 +170,6 @@ def test_a_cloud_by_itself_tells_its_surface_and_no_more():
     around = np.where(state == SURFACE, SURFACE, BACKGROUND)
     np.testing.assert_array_equal(empty.state, around)
     assert (np.asarray(empty.depth)[around == BACKGROUND] >= 39.9).all()
-    again = surface_alone(empty)
-    np.testing.assert_array_equal(again.state, state)
-    np.testing.assert_allclose(again.depth, known.depth)
 
 
 def test_a_gap_wider_than_the_spacing_stays_open():

@@ -94,6 +94,7 @@ def test_every_other_row_of_a_training_knows_the_surface_alone(reading, tiny_fra
     for row, state in enumerate(np.asarray(known.state)):
         around = UNKNOWN if row % 2 else BACKGROUND
         assert set(np.unique(state)) == {SURFACE, around}
+    assert not known.depth[known.state == UNKNOWN].any()
     # Maps that come with the batch are not made anew.
     given = batch._replace(visibility=known._replace(depth=known.depth + 1))
     inputs = jax.jit(lambda batch, key: inputs_of(batch, key, reading.model))

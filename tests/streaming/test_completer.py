@@ -115,7 +115,7 @@ def test_nothing_is_compiled_and_up_is_found_once_it_is_warm(completer):
     points = np.concatenate([shell(0) for _ in range(8)])
     stream.warm_up(Frame(points, 0))
     np.testing.assert_allclose(stream.up, [0, 0, 1], atol=1e-6)
-    sampling = (observation._resample, observation._farthest, observation._framing)
+    sampling = (observation._farthest, observation._framing)
     before = [compiled._cache_size() for compiled in sampling]
     for count in (64, 65, 127, 128, 129, 1025, 2400):
         stream.complete(Frame(points[:count], 0))

@@ -4,7 +4,7 @@ import numpy as np
 from jaxtyping import Float, Float64, Int
 from scipy.spatial import KDTree
 
-from prism_jax.geometry.cloud import sight
+from prism_jax.geometry.cloud import IndexedCloud, sight
 from prism_jax.preprocessing.segmentation.planes import Plane, Thinned
 
 MOST = 20_000  # points that are asked, of a larger cloud
@@ -30,11 +30,8 @@ def sees_scene(
     view, or the points lie all around it, or nearly all on a floor, if `up` is known.
     Without an eye the sensor may stand at the origin; an object about the origin is
     then no scene."""
-    if len(points) > MOST:
-        rng = np.random.default_rng(0)
-        points = points[rng.choice(len(points), MOST, replace=False, shuffle=False)]
     at = np.zeros(3) if eye is None else eye
-    thinned = Thinned(points)
+    thinned = Thinned(IndexedCloud.of_enough(points, MOST).points)
     if up is not None and _on_floor(thinned, up):
         return True
     length = np.linalg.norm(sight(thinned.cells.points, at)[0].mean(axis=0))

@@ -59,10 +59,9 @@ def components(
     Only the `LINK_NEIGHBORS` nearest of each point are asked."""
     if len(points) < 2:
         return np.zeros(len(points), int)
-    count = min(LINK_NEIGHBORS + 1, len(points))
     cloud = IndexedCloud.of(points)
     found: Any = cloud.tree.query(
-        cloud.points, k=count, distance_upper_bound=1.001 * reach.max()
+        cloud.points, LINK_NEIGHBORS + 1, distance_upper_bound=1.001 * reach.max()
     )
     apart, other = found
     linked = np.isfinite(apart)

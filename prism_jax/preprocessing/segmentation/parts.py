@@ -192,18 +192,16 @@ def _joined_across(
     return np.unique(together[owner], return_inverse=True)[1]
 
 
-def _hull(flat: Float64[np.ndarray, "N 2"]) -> Float64[np.ndarray, "E 3"] | None:
-    """The sides of the convex hull; None where it has no area."""
+def _hull(flat: Float64[np.ndarray, "N 2"]) -> Float64[np.ndarray, "E 3"]:
+    """The sides of the convex hull; where it has no area, one that all are beyond."""
     try:
         return ConvexHull(flat).equations
     except (QhullError, ValueError):
-        return None
+        return np.array([[0.0, 0.0, np.inf]])
 
 
 def _share_within(
-    flat: Float64[np.ndarray, "N 2"], hull: Float64[np.ndarray, "E 3"] | None
+    flat: Float64[np.ndarray, "N 2"], hull: Float64[np.ndarray, "E 3"]
 ) -> float:
-    if hull is None:
-        return 0.0
     outside = (flat @ hull[:, :2].T + hull[:, 2]).max(axis=1)
     return float((outside <= 0).mean())

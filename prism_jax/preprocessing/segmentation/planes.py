@@ -94,7 +94,6 @@ class Outline:
     # Of unit length and outwards, one for each side of the hull.
     lines: Float64[np.ndarray, "E 2"]
     offsets: Float64[np.ndarray, " E"]  # how far out these sides are
-    area: float  # of the hull
     width: float  # the least distance between two parallel lines around it
     length: float  # the longest side of its box along `axes`
     filled: float  # the share of the area that has points
@@ -131,7 +130,6 @@ def outline(cells: Float64[np.ndarray, "N 3"], plane: Plane) -> Outline | None:
         axes,
         lines,
         offsets=lines @ middle - hull.equations[:, 2],
-        area=float(hull.volume),
         width=float(width),
         length=float(np.ptp(flat, axis=0).max()),
         filled=float(filled),

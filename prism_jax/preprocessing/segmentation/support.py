@@ -107,10 +107,8 @@ def find_support(
     best, most = None, 0.0
     # By how much each plane faces the way up of an upright camera.
     sides = [_objects_side(plane, eye) for plane in planes]
-    faces = np.zeros(len(planes))
-    if camera_rotation is not None:
-        above = -np.asarray(camera_rotation)[1]
-        faces = np.array([0.0 if s is None else s.normal @ above for s in sides])
+    above = np.zeros(3) if camera_rotation is None else -np.asarray(camera_rotation)[1]
+    faces = [0.0 if side is None else float(side.normal @ above) for side in sides]
     flat = [b.length for b, f in zip(borders, faces, strict=True) if b and f >= SQUARE]
     for plane, side, border, face in zip(planes, sides, borders, faces, strict=True):
         if side is None or border is None:
