@@ -22,7 +22,14 @@ from absl import flags
 from prism_jax import io
 from prism_jax.assets import asset
 from prism_jax.cli import shared_flags
-from prism_jax.cli.launch import SomeFailed, launch, load_completer, say, timed
+from prism_jax.cli.launch import (
+    SomeFailed,
+    launch,
+    load_completer,
+    load_library,
+    say,
+    timed,
+)
 from prism_jax.completion.filtering import MAX_DENSE
 from prism_jax.io.atomic import check_targets, claim
 from prism_jax.io.clouds import READERS, rounding

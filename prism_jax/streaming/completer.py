@@ -85,7 +85,7 @@ class FrameCompleter(FrameObserver):
         joined = join(task, completion.points, options)
         points, measured, known = joined.points, joined.observed, None
         if self.completer.known is not None:
-            predicted = task.seen.workspace.from_unit(np.asarray(completion.points))
+            predicted = np.asarray(task.seen.workspace.from_unit(completion.points))
             found = self.completer.recognise(task, predicted, options, self.found)
             known = self.follow(found)
             if known is not None:
