@@ -21,10 +21,11 @@ FLAT = 2.5  # in spacings of the surface: so far its points stand for their plan
 EVERY = 2  # one of its points in so many tells what is seen of it
 EXACT = 0.0015  # in longest sides: so far points and poses are exact
 GRAZING = 0.2  # cosine under which nothing is expected of a surface
+BESIDE = 0.04  # in longest sides: of surface that is nearer, something was measured
 TOLERANCE = 0.03  # in longest sides: so much nearer to the sensor is in front
 
-LEAST_FIT, LEAST_SEEN, MOST_DENIED = 0.925, 0.25, 0.05
-MOST_STRAIN, MOST_BIAS, AMPLE, MARGIN = 1.45, 2.5, 0.5, 0.5
+LEAST_FIT, LEAST_COVERED, LEAST_SEEN, MOST_DENIED = 0.9, 0.3, 0.25, 0.05
+MOST_STRAIN, MOST_BIAS, AMPLE, MARGIN = 1.8, 2.5, 0.5, 0.5
 """What a model needs to be taken for an object, chosen on validation parts."""
 
 
@@ -32,6 +33,7 @@ class Evidence(NamedTuple):
     """What speaks for a model, without knowing the truth."""
 
     fit: float  # share of the measured points within `FITS` deviations of the model
+    covered: float  # share of the model's surface within `BESIDE` of measured points
     seen: float  # share of the front that should have been seen, what was
     denied: float  # and what the sensor looked through
     strain: float  # of the points, as `strain` has it
@@ -88,7 +90,10 @@ def match(scan: Scan, surface: Surface, tree: KDTree, poses: Poses) -> Match:
     covariance = scan.noise**2 * np.linalg.pinv(squares, hermitian=True)
     fits = np.abs(gap) <= FITS * scan.noise
     badly = strain(np.abs(gap), scan.noise), _bias(scan, gap, fits, surface.size)
-    told = Evidence(float(fits.mean()), *_looked_for(scan, surface, pose), *badly)
+    placed = (surface.points[::EVERY] + surface.middle) @ back.T + pose[:3, 3]
+    covered = float((scan.tree.query(placed)[0] < BESIDE * surface.size).mean())
+    seen = _looked_for(scan, surface, pose, placed)
+    told = Evidence(float(fits.mean()), covered, *seen, *badly)
     return Match(pose, covariance, scan.noise, told)
 
 
@@ -125,15 +130,15 @@ def _bias(scan: Scan, gap: np.ndarray, fits: np.ndarray, size: float) -> float:
     return float(np.minimum(total**2 / usual, FITS**2).mean())
 
 
-def _looked_for(scan: Scan, surface: Surface, pose: np.ndarray) -> tuple[float, float]:
+def _looked_for(
+    scan: Scan, surface: Surface, pose: np.ndarray, points: np.ndarray
+) -> tuple[float, float]:
     """Of the model's front the shares that the sensor measured and that it looked
     through. What hides it counts for nothing, and what is not known for half. All was
     seen where nobody knows where a sensor stood."""
     if scan.visibility is None:
         return 1.0, 0.0
-    rotation, shift = pose[:3, :3], pose[:3, 3]
-    points = (surface.points[::EVERY] + surface.middle) @ rotation.T + shift
-    normals = surface.normals[::EVERY] @ rotation.T
+    normals = surface.normals[::EVERY] @ pose[:3, :3].T
     rays = scan.eye - points
     away = np.linalg.norm(rays, axis=1)
     facing = np.einsum("ij,ij->i", normals, rays) / away
@@ -170,6 +175,8 @@ def doubt(told: Evidence, other: float = np.inf) -> str | None:
         return f"it explains {told.fit:.0%} of the points"
     if told.denied > MOST_DENIED:
         return f"the sensor saw through {told.denied:.0%} of its front"
+    if told.covered < LEAST_COVERED:
+        return f"{told.covered:.0%} of its surface was measured"
     if told.seen < LEAST_SEEN:
         return f"{told.seen:.0%} of its front was measured"
     # The less of it was seen, the better must it fit.

@@ -40,6 +40,11 @@ class Scan:
         return self.points[np.sort(rng.choice(len(self.points), RAW, False))]
 
     @functools.cached_property
+    def tree(self) -> KDTree:
+        """Of the `raw` points."""
+        return KDTree(self.raw)
+
+    @functools.cached_property
     def cells(self) -> Int[np.ndarray, " M"]:
         """Which of the `raw` points are neighbours: those of one number."""
         return thin(self.raw, COARSE_CELLS)[1]
