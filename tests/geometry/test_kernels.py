@@ -14,8 +14,6 @@ from prism_jax.geometry import kernels
 from prism_jax.geometry.neighbors import knn, nearest
 from prism_jax.geometry.sampling import farthest_point_sample
 
-# They share what they compile.
-
 RNG = np.random.default_rng(0)
 
 INTERPRETED = not kernels.on_gpu()

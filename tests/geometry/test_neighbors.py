@@ -10,8 +10,6 @@ from scipy.spatial import KDTree
 from prism_jax.geometry import neighbors
 from prism_jax.geometry.neighbors import knn, nearest, three_point_interpolate
 
-# They share what they compile.
-
 RNG = np.random.default_rng(0)
 jit_nearest = jax.jit(nearest)
 jit_knn = jax.jit(knn, static_argnums=2)

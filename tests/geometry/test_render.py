@@ -8,8 +8,6 @@ from jax.test_util import check_grads
 from prism_jax.geometry.camera import Camera
 from prism_jax.geometry.render import render_depth
 
-# They share what they compile.
-
 RNG = np.random.default_rng(0)
 CAMERA = Camera.look_at((2.5, 1.0, 0.8), (0.0, 0.0, 0.0), height=16, width=20)
 render = jax.jit(render_depth)
