@@ -1,9 +1,24 @@
-"""Trees of arrays, compared and averaged."""
+"""Trees of arrays: drawn, compared and averaged."""
 
 import chex
 import jax
 import jax.numpy as jnp
 import numpy as np
+
+
+def drawn(module, *inputs):
+    """Variables of any numbers, biases and statistics included: none of the
+    compilation that fresh ones cost. In double precision where that is the default."""
+    rng = np.random.default_rng(0)
+    tree = jax.eval_shape(lambda: module.init(jax.random.key(0), *inputs))
+
+    def draw(path, leaf):
+        fans_in = leaf.shape[0] if leaf.ndim > 1 else 10
+        values = rng.normal(size=leaf.shape) / fans_in**0.5
+        values = abs(values) + 0.1 if path[-1].key == "var" else values
+        return jnp.asarray(values, jnp.result_type(float))
+
+    return jax.tree_util.tree_map_with_path(draw, tree)
 
 
 def as_double(tree):

@@ -31,7 +31,6 @@ FRAME = asset("roboarm") / "000-panda" / "000000"
 SENSOR = "--sensor=camera 640x480, 70x55 degrees"
 DEPTH = "--input=depth"
 BOX, VOXEL = "--workspace=-1,-1,0,1,1,2", "--voxel=0.15"
-SUFFIXES = ("partial.ply", "depth.png", "camera.json", "complete.ply", "joints.json")
 
 
 @pytest.fixture(autouse=True, scope="module")
@@ -75,11 +74,10 @@ def calibrated(recordings, tmp_path_factory):
 @pytest.fixture
 def asked(calibrated, tmp_path):
     np.save(tmp_path / "query.npy", np.array([[0.0, 0, 5], [np.nan] * 3, [0.4, 0, 1]]))
-    beside = {suffix: FRAME.with_name(f"000000.{suffix}") for suffix in SUFFIXES}
     return [
-        str(beside["partial.ply"]),
-        f"--depth={beside['depth.png']}",
-        f"--camera={beside['camera.json']}",
+        f"{FRAME}.partial.ply",
+        f"--depth={FRAME}.depth.png",
+        f"--camera={FRAME}.camera.json",
         calibrated(),
         f"--query={tmp_path / 'query.npy'}",
         f"--output_dir={tmp_path / 'out'}",

@@ -3,7 +3,6 @@
 import sys
 
 import numpy as np
-import pytest
 from scipy.spatial import KDTree
 
 from prism_jax.adaptation.objective import Losses
@@ -18,23 +17,17 @@ from prism_jax.uncertainty.confidence import CLOSED, SCENE
 EYE = np.array([0.0, -4.0, 1.0])
 
 
-@pytest.fixture
-def trees(monkeypatch):
-    """Sizes of all k-d trees that the package builds."""
-    built = []
+def test_a_completion_builds_eight_trees_at_most(monkeypatch):
+    trees = []
 
     class Counted(KDTree):
         def __init__(self, data, *args, **options):
-            built.append(len(data))
+            trees.append(len(data))
             super().__init__(data, *args, **options)
 
     for name, module in list(sys.modules.items()):
         if name.startswith("prism_jax") and hasattr(module, "KDTree"):
             monkeypatch.setattr(module, "KDTree", Counted)
-    return built
-
-
-def test_a_completion_builds_eight_trees_at_most(trees):
     rng = np.random.default_rng(0)
     ball = rng.normal(size=(3000, 3))
     ball /= np.linalg.norm(ball, axis=1, keepdims=True)

@@ -9,10 +9,6 @@ from prism_jax.data.datasets import open_dataset
 from prism_jax.io.errors import InputError
 
 
-def names(source):
-    return [source[index].name for index in range(len(source))]
-
-
 def test_what_was_broken_off_goes_on(tmp_path, monkeypatch):
     def build(folder, **settings):
         settings |= {"num_workers": 0, "num_shapes": 2}
@@ -27,7 +23,7 @@ def test_what_was_broken_off_goes_on(tmp_path, monkeypatch):
         build("a")
     digest = build("a")
     source = open_dataset("shapes", "validation", tmp_path / "a")
-    assert names(source) == ["000000/00", "000001/00"]
+    assert [example.name for example in source] == ["000000/00", "000001/00"]
     # The same files as of an unbroken build, and others than of another seed.
     assert digest == build("b") and len(digest) == 12
     assert build("c", seed=1) not in (None, digest)

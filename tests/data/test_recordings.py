@@ -1,11 +1,9 @@
 import dataclasses
 import hashlib
-import io
 import json
 
 import numpy as np
 import pytest
-from PIL import Image
 from scipy.spatial import cKDTree
 
 from experiments.assets import CELLS
@@ -16,6 +14,7 @@ from prism_jax.data.source import Source
 from prism_jax.geometry.camera import Camera
 from prism_jax.geometry.visibility import NEARER, SURFACE, UNKNOWN, look_up
 from prism_jax.io.errors import InputError
+from tests.io.test_depth import packed as png
 
 HEIGHT, WIDTH, FOCAL = 24, 32, 30.0
 WALL = np.full((HEIGHT, WIDTH), 6000, np.uint16)
@@ -147,12 +146,6 @@ def test_files_that_lack_or_are_out_of_the_layout_are_refused(root, name, messag
         path.write_bytes(b"a")
     with pytest.raises(InputError, match=message):
         RecordedCells(root)
-
-
-def png(pixels):
-    buffer = io.BytesIO()
-    Image.fromarray(pixels).save(buffer, "PNG")
-    return buffer.getvalue()
 
 
 @pytest.mark.parametrize(

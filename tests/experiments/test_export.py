@@ -18,13 +18,6 @@ BATCH = 2
 
 
 @pytest.fixture(scope="module")
-def scans(minimal):
-    count = minimal.model.backbone.num_points
-    scans = np.random.default_rng(0).uniform([4, -1, -1], [5, 1, 1], (BATCH, count, 3))
-    return scans.astype(np.float32)
-
-
-@pytest.fixture(scope="module")
 def exported(minimal, minimal_variables, tmp_path_factory):
     path = tmp_path_factory.mktemp("export") / "adapt.jaxexport"
     config = minimal.config.with_adapt(num_steps=1)
@@ -51,10 +44,12 @@ def test_the_newest_jax_loads_what_the_oldest_wrote():
 
 
 @pytest.mark.slow
-def test_a_clean_process_gets_the_same(exported, scans, minimal, minimal_variables):
+def test_a_clean_process_gets_the_same(exported, minimal, minimal_variables):
     from prism_jax import make_adapt
 
-    folder = exported.parent
+    folder, shape = exported.parent, (BATCH, minimal.model.backbone.num_points, 3)
+    scans = np.random.default_rng(0).uniform([4, -1, -1], [5, 1, 1], shape)
+    scans = scans.astype(np.float32)
     np.save(folder / "scans.npy", scans)
     files = [exported, folder / "scans.npy", folder / "completed.npy"]
     program = PROGRAM.read_text() + "\nassert 'prism_jax' not in sys.modules\n"

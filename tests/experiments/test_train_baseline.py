@@ -25,10 +25,6 @@ def run(few_shapes, monkeypatch):
     return lambda *flags: launching.run(train_baseline, *given, *flags)
 
 
-def begun(folder):
-    return json.loads((folder / "config.json").read_text())["config"]
-
-
 @pytest.mark.parametrize("done", [False, True])
 def test_what_is_trained_and_on_how_much(run, tmp_path, monkeypatch, capsys, done):
     """By itself as many samples as both phases and the meta-training of the preset."""
@@ -39,8 +35,9 @@ def test_what_is_trained_and_on_how_much(run, tmp_path, monkeypatch, capsys, don
     monkeypatch.setattr(train_baseline, "train_phase", train_phase)
     flags = ["--mixture=shapes:2", "--samples=16"] if done else []
     assert run(f"--workdir={tmp_path}", "--network=pcn", *flags) == 0
-    data, path = begun(tmp_path)["data"], tmp_path / "weights.safetensors"
-    assert begun(tmp_path)["samples"] == (16 if done else 64 + 64 + 128)
+    begun = json.loads((tmp_path / "config.json").read_text())["config"]
+    data, path = begun["data"], tmp_path / "weights.safetensors"
+    assert begun["samples"] == (16 if done else 64 + 64 + 128)
     if done:
         assert data["mixture"] == {"shapes": 2.0}
         metadata = read_metadata(str(path))

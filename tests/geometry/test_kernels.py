@@ -13,8 +13,7 @@ import pytest
 from prism_jax.geometry import kernels
 from prism_jax.geometry.neighbors import knn, nearest
 from prism_jax.geometry.sampling import farthest_point_sample
-
-# They share what they compile.
+from tests.geometry.test_neighbors import KINDS, of_kind, squared
 
 RNG = np.random.default_rng(0)
 
@@ -39,35 +38,13 @@ farthest_indices = jax.jit(kernels.farthest_indices, static_argnums=(3, 4))
 
 
 def cloud(kind: str, count: int) -> jax.Array:
-    points = RNG.uniform(-1, 1, (count, 3))
-    if kind == "clustered":
-        points = np.round(points) + 1e-3 * points
-    elif kind == "planar":
-        points[:, 2] = 0.5
-    elif kind == "collinear":
-        points = points[:, :1] * [[1.0, 2.0, -1.0]]
-    elif kind == "duplicated":
-        # In 64ths, whose squares are exact: ties are ties however a compiler rounds.
-        points = np.round(64 * points[RNG.integers(0, max(1, count // 8), count)]) / 64
-    elif kind == "far":
-        points = points + [1000.0, -2000.0, 500.0]
-    return jnp.asarray(points, jnp.float32)
-
-
-KINDS = ["random", "clustered", "planar", "collinear", "duplicated", "far"]
-
-
-def squared(query, support, indices):
-    """Exact to the digit: what two right answers must share."""
-    query, support = (np.asarray(points, np.float64) for points in (query, support))
-    difference = query[:, None] - support[indices]
-    return (difference**2).sum(-1)
+    return jnp.asarray(of_kind(kind, RNG.uniform(-1, 1, (count, 3))))
 
 
 @pytest.mark.parametrize("sizes", [(130, 70, 8), (1, 1, 1)])
 def test_neighbors(sizes):
     *counts, k = sizes
-    for kind in KINDS:
+    for kind in (*KINDS, "planar"):
         query, support = (cloud(kind, count) for count in counts)
         for expected, found in (
             (nearest(query, support)[1], nearest_indices(query, support)),
@@ -77,7 +54,8 @@ def test_neighbors(sizes):
             both = (np.asarray(i).reshape(len(query), -1) for i in (found, expected))
             found_apart, apart = (squared(query, support, i) for i in both)
             np.testing.assert_allclose(found_apart, apart, rtol=1e-5, atol=1e-12)
-            if kind == "duplicated":  # ties go to the lowest index
+            # Ties go to the lowest index, where squares are exact on any compiler.
+            if kind == "grid":
                 np.testing.assert_array_equal(found, expected)
         assert all(len(set(row)) == k for row in np.asarray(found).tolist())
 
@@ -91,7 +69,7 @@ def test_knn_keeps_ties_in_order_when_a_nearer_point_comes():
 
 @pytest.mark.parametrize("skip", [False, True])
 def test_farthest_points(skip):
-    for kind in KINDS:
+    for kind in (*KINDS, "planar"):
         points = cloud(kind, 70)
         expected = farthest_point_sample(points, 20, 3, skip)
         allowed = (points**2).sum(-1) > (1e-3 if skip else -1.0)
@@ -100,7 +78,7 @@ def test_farthest_points(skip):
 
 
 def test_vmap_is_a_loop():
-    queries, supports = (cloud("random", 120).reshape(3, 40, 3),) * 2
+    queries, supports = (cloud("gaussian", 120).reshape(3, 40, 3),) * 2
     search = functools.partial(kernels.knn_indices, k=4, interpret=INTERPRETED)
     mapped = jax.vmap(search)(queries, supports + 0.1)
     for i in range(3):

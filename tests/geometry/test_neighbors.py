@@ -10,8 +10,6 @@ from scipy.spatial import KDTree
 from prism_jax.geometry import neighbors
 from prism_jax.geometry.neighbors import knn, nearest, three_point_interpolate
 
-# They share what they compile.
-
 RNG = np.random.default_rng(0)
 jit_nearest = jax.jit(nearest)
 jit_knn = jax.jit(knn, static_argnums=2)
@@ -25,22 +23,30 @@ def interpolate(query, support, features):
 jit_interpolate = jax.jit(interpolate)
 
 
-def cloud(count: int, kind: str = "gaussian") -> np.ndarray:
-    points = RNG.normal(size=(count, 3))
+def of_kind(kind: str, points: np.ndarray) -> np.ndarray:
+    """Points, moved so that they are hard for a search in some way."""
     if kind == "duplicates":
-        points[count // 2 :] = points[: count - count // 2]
+        points = points[np.arange(len(points)) % (len(points) // 2 + 1)]
+    if kind == "planar":
+        points = points * [1.0, 1.0, 0.0] + [0.0, 0.0, 0.5]
     if kind == "collinear":
-        points = points[:, :1] * np.array([[1.0, 2.0, -1.0]])
+        points = points[:, :1] * [[1.0, 2.0, -1.0]]
+    if kind == "identical":
+        points = np.repeat(points[:1], len(points), axis=0)
     if kind == "grid":
         points = np.round(points * 2)
     if kind == "clustered":
         points = np.round(points) + 1e-3 * points
     if kind == "far":
-        points = points + 1000.0
+        points = points + [1000.0, -2000.0, 500.0]
     return points.astype(np.float32)
 
 
 KINDS = ["gaussian", "duplicates", "collinear", "grid", "clustered", "far"]
+
+
+def cloud(count: int, kind: str = "gaussian") -> np.ndarray:
+    return of_kind(kind, RNG.normal(size=(count, 3)))
 
 
 def pairs(num_queries, num_supports):

@@ -8,8 +8,6 @@ from scipy.spatial import KDTree
 
 from prism_jax.geometry.normals import pca_normals
 
-# They share what they compile.
-
 RNG = np.random.default_rng(0)
 normals_of = jax.jit(pca_normals, static_argnames="k")
 

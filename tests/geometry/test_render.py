@@ -7,8 +7,7 @@ from jax.test_util import check_grads
 
 from prism_jax.geometry.camera import Camera
 from prism_jax.geometry.render import render_depth
-
-# They share what they compile.
+from tests.geometry.test_camera import looped_projection
 
 RNG = np.random.default_rng(0)
 CAMERA = Camera.look_at((2.5, 1.0, 0.8), (0.0, 0.0, 0.0), height=16, width=20)
@@ -26,18 +25,11 @@ def looped_render(points, camera):
     """Depth (0 where empty) and the winner's index (-1 where empty), by a loop."""
     depth = np.full((camera.height, camera.width), np.inf)
     winner = np.full(depth.shape, -1)
-    rotation = np.asarray(camera.rotation, np.float64)
-    k = np.asarray(camera.intrinsics, np.float64)
-    for i, point in enumerate(np.asarray(points, np.float64)):
-        x = rotation @ point + np.asarray(camera.translation, np.float64)
-        if not x[2] > 0:
-            continue
-        u, v, _ = k @ (x / x[2])
-        column, row = int(np.floor(u + 0.5)), int(np.floor(v + 0.5))
-        if not (0 <= row < camera.height and 0 <= column < camera.width):
-            continue
-        if x[2] < depth[row, column]:
-            depth[row, column], winner[row, column] = x[2], i
+    uv, z = looped_projection(points, camera)
+    for i, (column, row) in enumerate(np.floor(uv + 0.5).astype(int)):
+        inside = 0 <= row < camera.height and 0 <= column < camera.width
+        if inside and 0 < z[i] < depth[row, column]:
+            depth[row, column], winner[row, column] = z[i], i
     return np.where(winner >= 0, depth, 0), winner
 
 

@@ -7,8 +7,6 @@ import pytest
 
 from prism_jax.geometry.sampling import farthest_point_sample, resample
 
-# They share what they compile.
-
 RNG = np.random.default_rng(0)
 sample = jax.jit(farthest_point_sample, static_argnums=(1, 3))
 jit_resample = jax.jit(resample, static_argnums=1)

@@ -11,8 +11,6 @@ from scipy.optimize import linear_sum_assignment
 
 from prism_jax.geometry.transport import sinkhorn
 
-# They share what they compile.
-
 RNG = np.random.default_rng(0)
 transport = jax.jit(lambda cost, epsilon: sinkhorn(cost, epsilon, 400))
 

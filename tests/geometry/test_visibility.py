@@ -24,8 +24,6 @@ from prism_jax.geometry.visibility import (
     visibility_features,
 )
 
-# They share what they compile.
-
 
 def view_along_x() -> Visibility:
     """Three columns of two pixels, one unit wide at depth one, from the origin along x.

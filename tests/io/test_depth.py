@@ -167,12 +167,13 @@ def test_depth_scale_is_needed(tmp_path):
             read_depth(tmp_path / "d.png", camera_path)
 
 
-def test_image_that_is_no_depth(tmp_path):
-    def packed(pixels, kind="PNG"):
-        buffer = io.BytesIO()
-        Image.fromarray(pixels).save(buffer, kind)
-        return buffer.getvalue()
+def packed(pixels, kind="PNG"):
+    buffer = io.BytesIO()
+    Image.fromarray(pixels).save(buffer, kind)
+    return buffer.getvalue()
 
+
+def test_image_that_is_no_depth(tmp_path):
     sound = packed(COUNTS)
     wide = (8).to_bytes(4, "big"), (2**30).to_bytes(4, "big"), 1
     camera_path = write(tmp_path / "c.json", {**PINHOLE, "depth_scale": 0.001})

@@ -18,6 +18,7 @@ from PIL import Image
 from prism_jax.io import InputError, read_points, read_scan
 from prism_jax.io.arrays import MAX_MEMBERS
 from prism_jax.io.ply import ply_bytes
+from tests.io.test_arrays import claim
 
 HUGE = 40_000_000
 POINTS = np.random.default_rng(0).uniform(-1, 1, size=(100, 3)).astype(np.float32)
@@ -26,11 +27,6 @@ PLY = "ply\nformat {} 1.0\n{}element vertex {}\n"
 PLY += "property float x\nproperty float y\nproperty float z\nend_header\n"
 LISTS = f"element cells {HUGE}\nproperty list uchar int i\n"
 CAMERA = {"width": 10, "height": 10, "fx": 9, "fy": 9, "cx": 4.5, "cy": 4.5}
-
-
-def npy_header(shape) -> bytes:
-    text = f"{{'descr': '<f8', 'fortran_order': False, 'shape': {shape}}}\n".encode()
-    return b"\x93NUMPY\x01\x00" + struct.pack("<H", len(text)) + text
 
 
 def png_header(width, height) -> bytes:
@@ -59,8 +55,8 @@ def compressed(plain: bytes, size: int) -> bytes:
 
 HUGE_LISTS = PLY.format("binary_little_endian", LISTS, 1).encode()
 HUGE_FILES = {
-    "npy": npy_header((HUGE, 3)),
-    "npz": archive(npy_header((HUGE, 3)) + bytes(10**7)),
+    "npy": claim((HUGE, 3)),
+    "npz": archive(claim((HUGE, 3)) + bytes(10**7)),
     "ascii.pcd": PCD.format(HUGE, "ascii").encode() + b"1 2 3\n",
     "binary.pcd": PCD.format(HUGE, "binary").encode() + b"1 2 3\n",
     "binary_compressed.pcd": PCD.format(HUGE, "binary_compressed").encode()
@@ -109,7 +105,7 @@ def test_archives_of_many_arrays_and_of_more_than_a_cloud(tmp_path):
         read_points(tmp_path / "a.npz")
     cloud = POINTS.astype(np.float64).tobytes()
     path = tmp_path / "a.npz"
-    path.write_bytes(archive(npy_header((100, 3)) + cloud + bytes(10**7)))
+    path.write_bytes(archive(claim((100, 3)) + cloud + bytes(10**7)))
     tracemalloc.start()
     np.testing.assert_array_equal(read_points(path), POINTS)
     peak = tracemalloc.get_traced_memory()[1]

@@ -7,18 +7,17 @@ import numpy as np
 from prism_jax.geometry.camera import Camera
 from prism_jax.geometry.render import render_depth
 from prism_jax.losses.depth import depth_error, depth_supervised
+from tests.geometry.test_render import looped_render
 from tests.trees import is_zero
 
 RNG = np.random.default_rng(4)
-SIZE = 12
-FOCAL = 10.0
 # Looks along +z from z = -3, image rows along +y: the depth of a point is z + 3.
 CAMERA = Camera(
     rotation=jnp.eye(3),
     translation=jnp.asarray([0.0, 0.0, 3.0]),
-    intrinsics=jnp.asarray([[FOCAL, 0.0, 5.5], [0.0, FOCAL, 5.5], [0.0, 0.0, 1.0]]),
-    height=SIZE,
-    width=SIZE,
+    intrinsics=jnp.asarray([[10.0, 0.0, 5.5], [0.0, 10.0, 5.5], [0.0, 0.0, 1.0]]),
+    height=12,
+    width=12,
 )
 supervised = jax.jit(jax.value_and_grad(depth_supervised, argnums=(0, 1)))
 
@@ -27,23 +26,12 @@ def cloud(*shape: int) -> np.ndarray:
     return RNG.uniform(-1.2, 1.2, (*shape, 3)).astype(np.float32)
 
 
-def winners(points):
-    """The index of the front-most point of each pixel, by a loop."""
-    depths, indices = {}, {}
-    for i, (x, y, z) in enumerate(np.asarray(points, np.float64)):
-        depth = z + 3
-        column, row = (int(np.floor(FOCAL * c / depth + 6.0)) for c in (x, y))
-        inside = 0 <= row < SIZE and 0 <= column < SIZE
-        if inside and depth < depths.get((row, column), np.inf):
-            depths[row, column], indices[row, column] = depth, i
-    return indices
-
-
 def test_value_and_gradient_agree_with_a_loop():
     predicted, reference = cloud(150), cloud(90)
-    front, behind = winners(predicted), winners(reference)
-    shared = sorted(set(front) & set(behind))
-    assert 20 < len(shared) < min(len(front), len(behind))
+    _, front = looped_render(predicted, CAMERA)
+    _, behind = looped_render(reference, CAMERA)
+    shared = [*zip(*np.nonzero((front >= 0) & (behind >= 0)), strict=True)]
+    assert 20 < len(shared) < min((front >= 0).sum(), (behind >= 0).sum())
     expected, expected_gradient = 0.0, np.zeros_like(predicted)
     for pixel in shared:
         difference = predicted[front[pixel], 2] - reference[behind[pixel], 2]

@@ -16,6 +16,7 @@ from prism_jax.models.attention import (
 )
 from prism_jax.models.config import BackboneConfig
 from prism_jax.models.pyramid import build_pyramid
+from tests.trees import drawn
 
 RNG = np.random.default_rng(0)
 WIDTH = 6
@@ -28,18 +29,6 @@ def normal(*shape):
     return jnp.asarray(RNG.normal(size=shape), jnp.result_type(float))
 
 
-def randomised(module, *inputs):
-    """Variables of the module, biases and statistics included, drawn anew."""
-    tree = jax.eval_shape(lambda: module.init(jax.random.key(0), *inputs))
-
-    def draw(path, leaf):
-        values = RNG.normal(size=leaf.shape) / np.sqrt(leaf.shape[0])
-        values = abs(values) + 0.1 if path[-1].key == "var" else values
-        return jnp.asarray(values, jnp.result_type(float))
-
-    return jax.tree_util.tree_map_with_path(draw, tree)
-
-
 def clouds():
     """Seven queries and nine supports with their features."""
     return [Cloud(normal(count, 3), normal(count, WIDTH)) for count in (7, 9)]
@@ -49,7 +38,7 @@ def test_without_norm_it_is_that_of_a_norm_that_does_nothing():
     """In a batch as one by one."""
     inputs = (*clouds(), jnp.asarray(RNG.integers(0, 9, (7, 4))))
     plain = VectorAttention(dataclasses.replace(CONFIG, use_norm=False))
-    normed, variables = VectorAttention(CONFIG), randomised(plain, *inputs)
+    normed, variables = VectorAttention(CONFIG), drawn(plain, *inputs)
     identity = jax.jit(normed.init)(jax.random.key(0), *inputs)
     identity["params"] |= variables["params"]
     identity["batch_stats"] = jax.tree.map(
@@ -96,7 +85,7 @@ def value_and_gradients(params, statistics, clouds, pyramid):
 def transformed(*inputs):
     """Value and gradients with random weights; with a step, that far from there."""
     pyramid = two_levels(*(cloud.xyz for cloud in inputs))
-    variables = randomised(TRANSFORMER, *inputs, pyramid)
+    variables = drawn(TRANSFORMER, *inputs, pyramid)
     at, statistics = (variables["params"], inputs), variables["batch_stats"]
 
     def results(step=None):

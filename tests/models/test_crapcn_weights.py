@@ -12,6 +12,7 @@ from experiments.baselines.crapcn import convert_state_dict, load_torch
 from prism_jax.io.errors import InputError
 from prism_jax.models.backbone import init_backbone
 from prism_jax.models.config import BackboneConfig
+from tests.io.test_arrays import Bomb
 from tests.trees import bitwise
 
 
@@ -72,16 +73,11 @@ def test_load_torch(official, tmp_path):
         with pytest.raises(InputError, match=f"^{path}.*{fault}"):
             load_torch(path, config)
 
-    class Command:
-        def __reduce__(self):
-            return open, (str(tmp_path / "written"), "w")
-
     other_variant = dataclasses.replace(config, up_factors=(1, 2, 8))
     refused("decoder.ub1.deconv.ps.weight has shape", other_variant)
     path.write_bytes(path.read_bytes()[:1000])
     refused("not a PyTorch checkpoint")
     torch.save([1, 2], path)
     refused("not a state dict")
-    torch.save({"model": Command()}, path)
+    torch.save({"model": Bomb()}, path)
     refused("tensors only")
-    assert not (tmp_path / "written").exists()

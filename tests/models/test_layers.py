@@ -9,6 +9,7 @@ from jax.test_util import check_grads
 
 from prism_jax.geometry import kernels
 from prism_jax.models.layers import MLP, Conv, ResidualMLP, SplitPoints, highest
+from tests.trees import drawn
 
 RNG = np.random.default_rng(0)
 
@@ -16,12 +17,6 @@ RNG = np.random.default_rng(0)
 def normal(*shape):
     """Single precision, or double in the tests of gradients."""
     return jnp.asarray(RNG.normal(size=shape), jnp.result_type(float))
-
-
-def randomised(module, *inputs):
-    """Variables of the module, biases included, drawn anew."""
-    tree = jax.eval_shape(lambda: module.init(jax.random.key(0), *inputs))
-    return jax.tree.map(lambda leaf: normal(*leaf.shape), tree)
 
 
 def test_highest_is_the_maximum_and_so_is_its_derivative():
@@ -51,7 +46,7 @@ def test_gradients(module):
     parts = [normal(4, 3)]
     if not isinstance(module, SplitPoints):
         parts.append(normal(2, 2))
-    variables = randomised(module, *parts)
+    variables = drawn(module, *parts)
 
     @jax.jit
     def total(variables, *parts):

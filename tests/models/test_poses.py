@@ -13,13 +13,6 @@ from prism_jax.models.variables import pop_encoders
 from tests.trees import bitwise
 
 
-@pytest.fixture(scope="module")
-def complete(minimal, quick_jit):
-    """Completion in all poses, compiled once."""
-    config = minimal.config.with_adapt(num_steps=0).with_model(poses=MAX_POSES)
-    return quick_jit(make_adapt(config))
-
-
 def test_they_are_rotations_and_a_mirror_image():
     assert len(POSES) == MAX_POSES
     for pose in POSES:
@@ -60,8 +53,10 @@ def test_the_map_says_of_posed_points_what_it_said(frame):
     assert seen_in(POSES[1], partial, eye, known, ModelConfig()) is None
 
 
-def test_each_is_the_completion_of_that_pose(minimal, minimal_fresh, frame, complete):
+def test_each_is_the_completion_of_that_pose(minimal, minimal_fresh, frame, quick_jit):
     """Against a cloud that lies so, completed as it is and brought back."""
+    config = minimal.config.with_adapt(num_steps=0).with_model(poses=MAX_POSES)
+    complete = quick_jit(make_adapt(config))
     partial, camera = frame
     size = minimal.model.backbone.stage_sizes[-1]
     completion = complete(minimal_fresh, partial, camera)

@@ -15,19 +15,13 @@ KEY = jax.random.key(3)
 
 
 @pytest.fixture(scope="module")
-def seen(tiny_frames):
-    """A cloud and its camera."""
-    return jax.tree.map(lambda leaf: leaf[0], tiny_frames)
-
-
-@pytest.fixture(scope="module")
 def prepare(minimal):
-    return jax.jit(lambda *seen: prepare_input(*seen, KEY, minimal.model))
+    return jax.jit(lambda *frame: prepare_input(*frame, KEY, minimal.model))
 
 
 @pytest.fixture(scope="module")
-def frame(prepare, seen):
-    return prepare(*seen)
+def inputs(prepare, frame):
+    return prepare(*frame)
 
 
 @pytest.fixture(scope="module")
@@ -35,65 +29,65 @@ def run(minimal, quick_jit):
     """The whole network on one frame, compiled once."""
 
     @quick_jit
-    def run(variables, frame):
-        prediction = predict(variables, frame, minimal.model)
-        depth = read_depth(variables, frame, minimal.model)
-        seen = branches(variables, frame, prediction, depth, minimal.model)
+    def run(variables, inputs):
+        prediction = predict(variables, inputs, minimal.model)
+        depth = read_depth(variables, inputs, minimal.model)
+        seen = branches(variables, inputs, prediction, depth, minimal.model)
         return prediction, depth, seen
 
     return run
 
 
 @pytest.fixture(scope="module")
-def outputs(run, minimal_fresh, frame):
-    return run(minimal_fresh, frame)
+def outputs(run, minimal_fresh, inputs):
+    return run(minimal_fresh, inputs)
 
 
-def test_what_a_frame_says_of_its_partial(frame, seen):
+def test_what_a_frame_says_of_its_partial(inputs, frame):
     @jax.jit
     def expected(partial, camera):
         maps = (render_depth(partial, camera.resized(n, n)) for n in (32, 16))
         perturbed = perturb(KEY, partial, camera.position)
         return *maps, perturbed, upsample_midpoints(partial)
 
-    read, (reference, shown), perturbed, upsampled = expected(*seen)
+    read, (reference, shown), perturbed, upsampled = expected(*frame)
     # Depth is relative to the workspace, and zero where nothing is.
     depth, mask = map(np.asarray, read)
-    assert np.array_equal(frame.depth_mask, mask)
+    assert np.array_equal(inputs.depth_mask, mask)
     assert 5 < mask.sum() < mask.size
-    relative = np.where(mask, depth - seen[1].translation[2], 0.0)
-    np.testing.assert_allclose(frame.depth, relative, atol=1e-5)
-    assert np.array_equal(frame.reference_mask, shown)
-    np.testing.assert_allclose(frame.reference, reference, atol=1e-6)
-    np.testing.assert_allclose(frame.perturbed, perturbed, atol=1e-6)
-    np.testing.assert_allclose(frame.upsampled, upsampled, atol=1e-6)
-    cloud = np.asarray(frame.perturbed)
+    relative = np.where(mask, depth - frame[1].translation[2], 0.0)
+    np.testing.assert_allclose(inputs.depth, relative, atol=1e-5)
+    assert np.array_equal(inputs.reference_mask, shown)
+    np.testing.assert_allclose(inputs.reference, reference, atol=1e-6)
+    np.testing.assert_allclose(inputs.perturbed, perturbed, atol=1e-6)
+    np.testing.assert_allclose(inputs.upsampled, upsampled, atol=1e-6)
+    cloud = np.asarray(inputs.perturbed)
     apart = np.linalg.norm(cloud[:, None] - cloud, axis=-1)
-    found = np.take_along_axis(apart, np.asarray(frame.perturbed_neighbors), axis=1)
+    found = np.take_along_axis(apart, np.asarray(inputs.perturbed_neighbors), axis=1)
     nearest = np.sort(apart, axis=1)[:, : found.shape[1]]
     np.testing.assert_allclose(found, nearest, atol=1e-6)
 
 
-def test_a_frame_carries_no_gradient_of_the_partial(prepare, seen):
+def test_a_frame_carries_no_gradient_of_the_partial(prepare, frame):
     def total(partial):
-        leaves = jax.tree.leaves(prepare(partial, seen[1])._replace(view=None))
+        leaves = jax.tree.leaves(prepare(partial, frame[1])._replace(view=None))
         return sum(x.sum() for x in leaves if jnp.issubdtype(x.dtype, jnp.floating))
 
-    assert np.array_equal(jax.jit(jax.grad(total))(seen[0]), np.zeros((64, 3)))
+    assert np.array_equal(jax.jit(jax.grad(total))(frame[0]), np.zeros((64, 3)))
 
 
-def test_an_empty_view_is_finite(prepare, run, minimal_fresh, seen):
+def test_an_empty_view_is_finite(prepare, run, minimal_fresh, frame):
     """The camera looks away from everything."""
-    partial, camera = seen
+    partial, camera = frame
     behind = dataclasses.replace(camera, translation=-camera.translation)
-    frame = prepare(partial, behind)
-    assert not frame.depth_mask.any() and not frame.reference_mask.any()
-    outputs = run(minimal_fresh, frame)
+    inputs = prepare(partial, behind)
+    assert not inputs.depth_mask.any() and not inputs.reference_mask.any()
+    outputs = run(minimal_fresh, inputs)
     assert all(np.isfinite(leaf).all() for leaf in jax.tree.leaves(outputs))
 
 
 def test_prediction_is_the_last_stage_refined_within_bounds(
-    outputs, run, minimal, minimal_fresh, frame
+    outputs, run, minimal, minimal_fresh, inputs
 ):
     """Eq. 2: at first the last stage itself, kept in the workspace."""
     fresh, _, _ = outputs
@@ -102,18 +96,18 @@ def test_prediction_is_the_last_stage_refined_within_bounds(
     refiner = minimal_fresh["params"]["refiner"]
     trained = jax.tree.map(lambda x: np.asarray(x) + np.float32(0.3), refiner)
     params = {**minimal_fresh["params"], "refiner": trained}
-    points = np.asarray(run({**minimal_fresh, "params": params}, frame)[0].points)
+    points = np.asarray(run({**minimal_fresh, "params": params}, inputs)[0].points)
     assert np.abs(points).max() <= 1.0
     assert np.abs(points - inside).max() <= minimal.model.auxiliary.max_offset + 1e-7
     assert not np.array_equal(points, inside)
 
 
-def test_each_encoder_feeds_its_own_stream(outputs, run, minimal_fresh, frame):
+def test_each_encoder_feeds_its_own_stream(outputs, run, minimal_fresh, inputs):
     def moved(name):
         params = dict(minimal_fresh["params"])
         by = np.float32(1.1)
         params[name] = jax.tree.map(lambda leaf: by * np.asarray(leaf), params[name])
-        return run({**minimal_fresh, "params": params}, frame)
+        return run({**minimal_fresh, "params": params}, inputs)
 
     prediction, _, found = outputs
     by_depth = moved("depth_encoder")

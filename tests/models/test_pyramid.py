@@ -7,22 +7,14 @@ import pytest
 from scipy.spatial import KDTree
 
 from prism_jax.models.pyramid import build_pyramid, sampled_rows
+from tests.geometry.test_neighbors import of_kind, squared
 
 RNG = np.random.default_rng(0)
 RATES, NEIGHBORS = (1, 2, 4), (5, 4, 3)
 
 
 def cloud(count, kind="gaussian"):
-    points = RNG.normal(size=(count, 3))
-    if kind == "duplicates":
-        points[count // 4 :] = points[: count - count // 4]
-    if kind == "collinear":
-        points = points[:, :1] * np.array([[1.0, 2.0, -1.0]])
-    if kind == "far":
-        points = points + 1000.0
-    if kind == "identical":
-        points[:] = points[0]
-    return jnp.asarray(points, jnp.float32)
+    return jnp.asarray(of_kind(kind, RNG.normal(size=(count, 3))))
 
 
 def pyramid(query, support):
@@ -36,11 +28,9 @@ jit_pyramid = jax.jit(pyramid)
 
 def assert_nearest(indices, query, support):
     """Compares distances, since equally near points may be listed in any order."""
-    indices = np.asarray(indices)
-    query, support = np.float64(query), np.float64(support)
     assert indices.min() >= 0 and indices.max() < len(support)
-    found = np.linalg.norm(query[:, None] - support[indices], axis=-1)
-    expected = KDTree(support).query(query, indices.shape[1])[0]
+    found = squared(query, support, indices) ** 0.5
+    expected = KDTree(np.float64(support)).query(query, indices.shape[1])[0]
     np.testing.assert_allclose(found, expected, rtol=1e-4, atol=1e-6)
 
 

@@ -22,9 +22,10 @@ def maps(frame):
     return [seen_by(partial, camera.position, said) for said in ("unknown", "empty")]
 
 
-@pytest.fixture(scope="module")
-def complete(reading, frame, maps, quick_jit):
-    """Seeds and points with each of the two maps, compiled once."""
+def test_it_goes_on_from_weights_that_do_not(
+    reading, reading_fresh, frame, maps, quick_jit
+):
+    """What is known changes nothing before training, and seeds and points after it."""
 
     @quick_jit
     def one(variables, known):
@@ -34,11 +35,8 @@ def complete(reading, frame, maps, quick_jit):
         found = predict(variables, inputs, reading.model)
         return found.stages[0], found.points
 
-    return lambda variables: [one(variables, known) for known in maps]
-
-
-def test_it_goes_on_from_weights_that_do_not(reading, reading_fresh, complete):
-    """What is known changes nothing before training, and seeds and points after it."""
+    def complete(variables):
+        return zip(*[one(variables, known) for known in maps], strict=True)
 
     @jax.jit
     def init(key):
@@ -56,11 +54,11 @@ def test_it_goes_on_from_weights_that_do_not(reading, reading_fresh, complete):
         params = {**reading_fresh["params"], "decoder": decoder}
         return {**reading_fresh, "params": params}
 
-    for untrained, empty in zip(*complete(with_parts(**fresh)), strict=True):
+    for untrained, empty in complete(with_parts(**fresh)):
         np.testing.assert_allclose(untrained, empty, atol=1e-6)
     rng = np.random.default_rng(0)
     trained = jax.tree.map(lambda leaf: np.float32(rng.normal(size=leaf.shape)), fresh)
-    for own, empty in zip(*complete(with_parts(**trained)), strict=True):
+    for own, empty in complete(with_parts(**trained)):
         assert np.abs(empty - own).max() > 1e-2
 
 

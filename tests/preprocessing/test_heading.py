@@ -9,6 +9,7 @@ from prism_jax.models.config import ModelConfig
 from prism_jax.preprocessing.heading import MAX_POINTS, footprint_angle, level_heading
 from prism_jax.preprocessing.observation import observe, workspace_around
 from prism_jax.preprocessing.upright import upright
+from tests.preprocessing.segmentation.test_support import view_of_box
 
 EYE = np.array([0.5, 4.0, 2.0])
 
@@ -21,11 +22,7 @@ def about_vertical(degrees):
 @pytest.fixture(scope="module")
 def view():
     """Two sides and the top of a cuboid that is longer along x, seen from +y."""
-    rng = np.random.default_rng(0)
-    points = rng.uniform(-1, 1, (900, 3))
-    face = rng.integers(3, size=900)
-    points[np.arange(900), face] = 1
-    return points * [1.5, 0.7, 0.5]
+    return view_of_box([3.0, 1.4, 1.0], [0, 0, 0], 900)
 
 
 def level(points, eye, known=True):

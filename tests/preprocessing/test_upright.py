@@ -16,7 +16,7 @@ AXES = {
 def test_a_vector_along_an_axis_is_the_axis():
     for up in UP_AXES:
         named = np.eye(3) if up == "z" else upright(up)
-        np.testing.assert_allclose(named @ AXES[up], [0, 0, 1])
+        assert np.array_equal(named @ AXES[up], [0, 0, 1]) and np.linalg.det(named) == 1
         np.testing.assert_allclose(upright(2.5 * AXES[up]), named, atol=0)
 
 
@@ -34,6 +34,7 @@ def test_any_vector_is_taken_to_z_by_the_smallest_turn():
 
 
 def test_texts_and_what_is_no_direction():
+    assert upright("z") is None
     for up in ([0, 0, 0], [0, np.nan, 1], [np.inf, 0, 0], [1, 2], "w", "auto"):
         with pytest.raises(InputError, match="use one of x, y, z"):
             upright(up)

@@ -1,11 +1,14 @@
 """Examples made of random boxes, and a phase that compiles to nothing."""
 
+import json
+
 import jax
 import jax.numpy as jnp
 import numpy as np
 import optax
 import pytest
 
+from prism_jax.data.pipeline import Framing, frame_example, stack
 from prism_jax.data.source import Example
 from prism_jax.training.phase import Phase, TrainState
 
@@ -72,6 +75,12 @@ def regression_phase(batch_size, num_steps, rate):
     return Phase("toy", *sizes, start, step, validate, *names)
 
 
+def lines(folder):
+    """What a training logged."""
+    text = (folder / "metrics.jsonl").read_text()
+    return [json.loads(line) for line in text.splitlines()]
+
+
 @pytest.fixture(scope="session")
 def examples():
     return Boxes(20, seed=0)
@@ -85,9 +94,14 @@ def validation_examples():
 @pytest.fixture(scope="session")
 def framed():
     """``(source, rows, framing) -> Batch`` of those examples as they are."""
-    from prism_jax.data.pipeline import frame_example, stack
 
     def batch(source, rows, framing):
         return stack([frame_example(source[int(row)], framing) for row in rows])
 
     return batch
+
+
+@pytest.fixture(scope="session")
+def batch(examples, framed):
+    """Four of them."""
+    return framed(examples, range(4), Framing(64, 128, 1.4))

@@ -8,7 +8,6 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from prism_jax.data.pipeline import Framing
 from prism_jax.evaluation.metrics import score
 from prism_jax.models.prism import Prediction
 from prism_jax.training import auxiliary
@@ -25,11 +24,6 @@ def phase(minimal, minimal_variables):
     return auxiliary_phase(minimal_variables, minimal.config, training, seed=0)
 
 
-@pytest.fixture(scope="module")
-def batch(examples, framed):
-    return framed(examples, range(4), Framing(64, 128, 1.4))
-
-
 def steps(phase, batch, count, **params):
     """The state after some steps, from a start with other parameters, and the terms."""
     before = phase.start.variables
@@ -41,13 +35,8 @@ def steps(phase, batch, count, **params):
     return state, np.array(history)
 
 
-@pytest.fixture(scope="module")
-def trained(phase, batch):
-    return steps(phase, batch, 3)
-
-
-def test_it_trains_these_and_nothing_of_the_backbone(phase, trained):
-    state, history = trained
+def test_it_trains_these_and_nothing_of_the_backbone(phase, batch):
+    state, history = steps(phase, batch, 3)
     before, after = phase.start.variables, state.variables
     assert set(before["params"]) == {*TRAINED, "point_encoder", "decoder"}
     for name in before["params"]:

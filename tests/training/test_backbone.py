@@ -9,13 +9,12 @@ import optax
 import pytest
 from scipy.spatial import cKDTree
 
-from prism_jax.data.pipeline import Framing
 from prism_jax.evaluation.metrics import score, unseen_scores
 from prism_jax.training.optimisers import MUON_RMS, optimiser
 from prism_jax.training.supervised import backbone_phase, supervised_phase
 from tests.trees import assert_close, bitwise
 
-BATCH, FRAMING = 4, Framing(64, 128, 1.4)
+BATCH = 4
 
 
 @pytest.fixture(scope="module")
@@ -42,11 +41,6 @@ def phase_of(minimal, minimal_variables):
 @pytest.fixture(scope="module")
 def stages(phase_of):
     return phase_of(None)
-
-
-@pytest.fixture(scope="module")
-def batch(examples, framed):
-    return framed(examples, range(BATCH), FRAMING)
 
 
 def test_the_phase_of_the_seeds_has_their_loss_alone(phase_of, batch):

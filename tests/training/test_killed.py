@@ -16,7 +16,7 @@ import pytest
 from experiments.run_folder import open_run
 from prism_jax.completion.weights import sha256
 from prism_jax.training.phase import Data, train_phase
-from tests.training.conftest import Boxes, regression_phase
+from tests.training.conftest import Boxes, lines, regression_phase
 
 BATCH, STEPS, EVERY, KILLS = 4, 24, 2, 8
 # Changes of its folder that a killed training may get to: about as many as two saves
@@ -68,10 +68,8 @@ def main(root):
 
 def left(folder):
     """What a training ended with, and the lines that it logged, without times."""
-    text = (folder / "metrics.jsonl").read_text()
-    lines = [json.loads(line) for line in text.splitlines()]
     kept = ("phase", "step", "losses", "validation")
-    logged = [[line.get(name) for name in kept] for line in lines]
+    logged = [[line.get(name) for name in kept] for line in lines(folder)]
     return json.loads((folder / "ended.json").read_text()), logged
 
 

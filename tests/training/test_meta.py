@@ -10,7 +10,6 @@ from scipy.spatial import cKDTree
 
 from experiments.presets import PRESETS
 from prism_jax.adaptation.config import MetaConfig, PrismConfig
-from prism_jax.data.pipeline import Framing
 from prism_jax.geometry.visibility import SURFACE, nothing_known
 from prism_jax.io.errors import InputError
 from prism_jax.models.variables import ENCODERS
@@ -31,11 +30,6 @@ RATES = {
     "weight_rate": {"logits"},
     "step_rate": {"log_steps"},
 }
-
-
-@pytest.fixture(scope="module")
-def batch(examples, framed):
-    return framed(examples, range(BATCH), Framing(64, 128, 1.4))
 
 
 @pytest.fixture(scope="module")

@@ -1,6 +1,5 @@
 """One training, on however many devices."""
 
-import json
 import multiprocessing
 import os
 import pathlib
@@ -21,7 +20,7 @@ from prism_jax.training import meta, parallel
 from prism_jax.training.config import MetaTrainConfig
 from prism_jax.training.phase import Data, TrainState, train_phase
 from tests import stand_in_networks
-from tests.training.conftest import Boxes, regression_phase
+from tests.training.conftest import Boxes, lines, regression_phase
 from tests.trees import bitwise, equal
 
 TOLERANCE = 1e-5
@@ -116,11 +115,6 @@ def left(folder, name, step=3):
         return dict(arrays)
 
 
-def lines(folder, name):
-    text = (folder / name / "metrics.jsonl").read_text()
-    return [json.loads(line) for line in text.splitlines()]
-
-
 @pytest.mark.slow
 def test_four_devices_broken_off_and_resumed_train_as_one(
     minimal, minimal_variables, tmp_path
@@ -151,8 +145,7 @@ def test_four_devices_broken_off_and_resumed_train_as_one(
             four[name], array, rtol=TOLERANCE, atol=TOLERANCE, err_msg=name
         )
     # Each step is logged once, whoever validated which example.
-    found, expected = lines(tmp_path, "four"), lines(tmp_path, "one")
-    for a, b in zip(found, expected, strict=True):
+    for a, b in zip(lines(tmp_path / "four"), lines(tmp_path / "one"), strict=True):
         assert a.keys() == b.keys()
         for name in ("step", "samples", "losses", "validation"):
             told = pytest.approx(b.get(name, {}), rel=1e-4, abs=TOLERANCE)

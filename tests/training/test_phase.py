@@ -1,7 +1,6 @@
 """The training loop, around phases so small that they compile to nothing."""
 
 import contextlib
-import json
 
 import jax
 import jax.numpy as jnp
@@ -14,7 +13,7 @@ from prism_jax.training.checkpoints import Checkpoints
 from prism_jax.training.phase import VALIDATION_COMPLETE, Data, order_seed
 from prism_jax.training.phase import train_phase as train
 from prism_jax.training.run import Log
-from tests.training.conftest import Boxes, regression_phase
+from tests.training.conftest import Boxes, lines, regression_phase
 from tests.trees import bitwise
 
 BATCH, STEPS, MARGIN = 4, 12, 1.4
@@ -48,11 +47,6 @@ def counting(scores):
 
     phase = regression_phase(BATCH, STEPS, 0.05)
     return phase._replace(step_fn=step, validate_fn=validate, scores=("score",))
-
-
-def lines(folder):
-    text = (folder / "metrics.jsonl").read_text()
-    return [json.loads(line) for line in text.splitlines()]
 
 
 def latest(phase, folder):

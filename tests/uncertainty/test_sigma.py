@@ -10,13 +10,7 @@ from prism_jax.geometry.cloud import IndexedCloud
 from prism_jax.models.config import ModelConfig
 from prism_jax.preprocessing.observation import observe
 from prism_jax.uncertainty.sigma import CLUES, PointErrors, clues_of, spread
-
-EYE = np.array([0.0, 0.0, 6.0])
-
-
-def square(count, height=0.0, seed=0):
-    rng = np.random.default_rng(seed)
-    return np.column_stack([rng.uniform(-1, 1, (count, 2)), np.full(count, height)])
+from tests.uncertainty.test_evidence import EYE, square
 
 
 def clues(points, prediction, asked=None, off=0.0, sensor=EYE, num_read=128):

@@ -4,7 +4,6 @@ import functools
 from collections.abc import Callable
 from typing import Any, NamedTuple
 
-import flax.linen as nn
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -14,6 +13,7 @@ from experiments.baselines.fsc import FSC, FSCConfig
 from experiments.baselines.pcn import PCN, PCNConfig
 from experiments.baselines.pointr import PoinTr, PoinTrConfig
 from experiments.baselines.seedformer import SeedFormer, SeedFormerConfig
+from tests.trees import drawn
 
 TINY = {
     "pcn": PCN(
@@ -78,21 +78,6 @@ TINY = {
         )
     ),
 }
-
-
-def drawn(module: nn.Module, *inputs: Any) -> dict:
-    """Variables of any numbers, biases and statistics included: none of the
-    compilation that fresh ones cost."""
-    rng = np.random.default_rng(0)
-    tree = jax.eval_shape(lambda: module.init(jax.random.key(0), *inputs))
-
-    def draw(path, leaf):
-        fans_in = leaf.shape[0] if leaf.ndim > 1 else 10
-        values = rng.normal(size=leaf.shape) / fans_in**0.5
-        values = abs(values) + 0.1 if path[-1].key == "var" else values
-        return jnp.asarray(values, jnp.float32)
-
-    return jax.tree_util.tree_map_with_path(draw, tree)
 
 
 class Tiny(NamedTuple):

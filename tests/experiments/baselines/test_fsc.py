@@ -3,6 +3,7 @@
 import jax
 import numpy as np
 from scipy.spatial.distance import cdist
+from scipy.special import softmax
 
 from tests.experiments.baselines.conftest import TINY
 
@@ -23,9 +24,7 @@ def layers(params, x, leak=0.2):
 def attend(params, x):
     """Of PCT: the weights of all pairs, whose rows and then columns sum to one."""
     keys = dense(params["query_key"]["dense"], x)
-    energy = keys @ keys.T
-    weights = np.exp(energy - energy.max(axis=1, keepdims=True))
-    weights /= weights.sum(axis=1, keepdims=True)
+    weights = softmax(keys @ keys.T, axis=1)
     weights /= 1e-9 + weights.sum(axis=0, keepdims=True)
     attended = np.stack(
         [weights[:, j] @ dense(params["value"], x) for j in range(len(x))]

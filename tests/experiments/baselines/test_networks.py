@@ -10,7 +10,8 @@ from flax.traverse_util import flatten_dict
 
 from experiments.baselines.networks import NETWORKS
 from prism_jax.losses.primary import primary_loss
-from tests.experiments.baselines.conftest import TINY, drawn
+from tests.experiments.baselines.conftest import TINY
+from tests.trees import drawn
 
 # A softmax, which seed generators do without, does not see its logits' bias, nor a
 # difference that of its terms.

@@ -12,7 +12,7 @@ from experiments.baselines.pointr import (
     GeometryAwareAttention,
     proxy_indices,
 )
-from tests.experiments.baselines.conftest import drawn
+from tests.trees import drawn
 
 RNG = np.random.default_rng(0)
 

@@ -6,9 +6,11 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from scipy.special import softmax
 
 from experiments.baselines.seedformer import UpsampleTransformer
-from tests.experiments.baselines.conftest import TINY, drawn
+from tests.experiments.baselines.conftest import TINY
+from tests.trees import drawn
 
 RNG = np.random.default_rng(0)
 NORMED = dataclasses.replace(TINY["seedformer"].config, use_norm=True)
@@ -41,11 +43,6 @@ def as_numpy(variables):
     return params
 
 
-def softmax(logits):
-    weights = np.exp(logits - logits.max(0))
-    return weights / weights.sum(0)
-
-
 def looped_upsampling(params, times, xyz, query, key, neighbors, seed):
     """One point, one child and one neighbour at a time."""
     xyz, query, key = map(np.float64, (xyz, query, key))
@@ -70,7 +67,7 @@ def looped_upsampling(params, times, xyz, query, key, neighbors, seed):
         for child in range(times):
             logits = np.stack(hidden) @ last["dense"]["kernel"][:, child]
             logits = logits + last["bias"]
-            weights = logits if seed is None else softmax(logits)
+            weights = logits if seed is None else softmax(logits, axis=0)
             attended = (weights * np.stack(terms)).sum(0)
             rows.append(dense(params["end"], attended) + residual)
     return np.stack(rows)

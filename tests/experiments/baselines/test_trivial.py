@@ -10,20 +10,15 @@ from prism_jax.data.source import Example
 
 RNG = np.random.default_rng(0)
 PARTIAL = RNG.uniform(-0.7, 0.7, (3, 20, 3)).astype(np.float32)
-FLIP = np.array([-1, 1, 1], np.float32)
-
-
-@pytest.fixture(scope="module")
-def mirrored_fn(quick_jit):
-    return quick_jit(mirrored, static_argnums=1)
 
 
 @pytest.mark.parametrize("num_outputs", [13, 100])
-def test_mirrored_is_a_farthest_point_sample_of_both(mirrored_fn, num_outputs):
+def test_mirrored_is_a_farthest_point_sample_of_both(quick_jit, num_outputs):
     """No point of either is farther from the chosen ones than the next chosen; then
     all are repeated from the first on."""
-    both = np.concatenate([PARTIAL, PARTIAL * FLIP], axis=1)
-    made = np.asarray(mirrored_fn(jnp.asarray(PARTIAL), num_outputs))
+    both = np.concatenate([PARTIAL, PARTIAL * np.float32([-1, 1, 1])], axis=1)
+    sample = quick_jit(mirrored, static_argnums=1)
+    made = np.asarray(sample(jnp.asarray(PARTIAL), num_outputs))
     assert made.shape == (3, num_outputs, 3)
     for cloud, points in zip(made, both, strict=True):
         assert KDTree(points).query(cloud)[0].max() == 0

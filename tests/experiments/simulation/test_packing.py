@@ -1,6 +1,5 @@
 """Packed sources: what comes back, whole shards, and several sources together."""
 
-import io
 import json
 import pickle
 
@@ -17,6 +16,7 @@ from prism_jax.data.source import Example, Source
 from prism_jax.geometry.visibility import SURFACE, nothing_known
 from prism_jax.geometry.workspace import Workspace
 from prism_jax.io.errors import InputError
+from tests.io.test_arrays import npy
 
 CONFIG = PackConfig(num_partial=64, num_complete=128)
 
@@ -40,12 +40,6 @@ class Balls:
         category = self.categories[index % 2]
         made = Example(cloud, cloud[:90], eye, category, f"{index}", ordered=True)
         return made._replace(**self.changes)
-
-
-def saved(array):
-    buffer = io.BytesIO()
-    np.save(buffer, array)
-    return buffer.getvalue()
 
 
 def packed(folder, config=CONFIG, **sources):
@@ -127,7 +121,7 @@ def test_a_shard_that_is_damaged_is_named(tmp_path):
         path = tmp_path / f"shard-00000.{name}"
         whole = path.read_bytes()
         for content in (*contents, whole):
-            path.write_bytes(content if isinstance(content, bytes) else saved(content))
+            path.write_bytes(content if isinstance(content, bytes) else npy(content))
             manifest["files"] = hash_files(tmp_path)
             (tmp_path / "manifest.json").write_text(json.dumps(manifest))
             if content is not whole:

@@ -5,13 +5,9 @@ from scipy.spatial import KDTree
 from experiments.simulation.views import QUANTUM, make_views, rounded
 
 
-@pytest.fixture(scope="module")
-def shape():
-    return make_views("mug", 11, 2)
-
-
-def test_clouds_fill_their_frame_in_farthest_point_order(shape):
+def test_clouds_fill_their_frame_in_farthest_point_order():
     """Distances to the nearest of all points before shrink, up to the quantum."""
+    shape = make_views("mug", 11, 2)
     lower, upper = shape.complete.min(axis=0), shape.complete.max(axis=0)
     np.testing.assert_allclose(lower + upper, 0, atol=2 * QUANTUM)
     assert (upper - lower).max() == pytest.approx(2, abs=2 * QUANTUM)

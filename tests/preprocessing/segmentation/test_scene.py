@@ -10,8 +10,6 @@ from prism_jax.preprocessing.segmentation.scene import LEFT_OVER, SUPPORT, split
 from prism_jax.preprocessing.segmentation.support import find_up, tilt_of
 from prism_jax.preprocessing.upright import AUTO
 
-# They share a scene.
-
 EYE = np.array([0.1, -1.2, 0.9])
 TURN = Rotation.from_rotvec([0.5, -0.3, 0.2]).as_matrix()
 

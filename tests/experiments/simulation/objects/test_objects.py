@@ -35,12 +35,6 @@ def read(tmp_path, write_catalogue):
     return one
 
 
-def turned(mesh, angle):
-    """About x."""
-    matrix = trimesh.transformations.rotation_matrix(angle, (1, 0, 0))
-    return mesh.apply_transform(matrix)
-
-
 def test_models_stand_with_z_up_and_face_along_y_in_the_catalogues_size(read):
     """The knob is on the front, high, and to the left of who looks at the front: a turn
     of the box, not its mirror image."""
@@ -57,7 +51,8 @@ def test_models_stand_with_z_up_and_face_along_y_in_the_catalogues_size(read):
 
 def test_a_rotation_of_the_catalogue_is_applied_before_its_size(read):
     """A model that lies on its back: its own z is up, its own -y front."""
-    lying = turned(knobbed(), -np.pi / 2)
+    turn = trimesh.transformations.rotation_matrix(-np.pi / 2, (1, 0, 0))
+    lying = knobbed().apply_transform(turn)
     size = {"width": 1.0, "height": 2.0, "depth": 0.7}
     turn = "1 0 0 0 0 -1 0 1 0"
     found = read(entry("fridge", lying, "Fridge", modelRotation=turn, **size)).load()

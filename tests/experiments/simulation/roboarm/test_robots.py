@@ -11,7 +11,7 @@ import yourdfpy
 from experiments.simulation.roboarm.models import ARMS, CELL_ARMS, ArmModel, urdf_path
 from experiments.simulation.roboarm.robots import Robot
 from prism_jax.robots.xacro import plain_urdf
-from tests.experiments.simulation.roboarm import conftest as boxes
+from tests.robots.test_urdf import ELBOW, changed, mimic
 
 BY_SPLIT = {split: {*arms, *CELL_ARMS.get(split, ())} for split, arms in ARMS.items()}
 HAS_INDUSTRIAL = importlib.util.find_spec("rtbdata") is not None
@@ -26,21 +26,10 @@ def marks(model):
     return found if model.name in QUICK else [*found, pytest.mark.slow]
 
 
-def variant(tmp_path, *changes, root=None):
-    text = boxes.URDF
-    for old, new in changes:
-        assert old in text
-        text = text.replace(old, new)
-    path = tmp_path / "variant.urdf"
-    path.write_text(text)
-    return ArmModel("variant", "test", str(path), root)
-
-
 def test_a_mimic_follows_and_belongs_to_the_part_that_carries_it(tmp_path):
-    mimic = '<mimic joint="shoulder" multiplier="-0.5" offset="0.1"/>'
-    joint = boxes.joint("elbow", "upper", "lower", boxes.UPPER, "0 1 0")
-    change = joint, joint.replace("<limit", f"{mimic}<limit")
-    robot = Robot(variant(tmp_path, change))
+    told = mimic("shoulder", 'multiplier="-0.5" offset="0.1"')
+    path = changed(tmp_path, ELBOW, told)
+    robot = Robot(ArmModel("variant", "test", str(path)))
     assert robot.joints == ("yaw", "shoulder")
     assert robot.bodies.tolist() == [0, 1, 2, 2]
     pose = robot.link_poses(np.array([[0.0, 0.8]]))[0, 3]

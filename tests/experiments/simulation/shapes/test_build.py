@@ -10,12 +10,6 @@ from experiments.simulation.views import make_views
 from prism_jax.data.datasets import open_dataset
 
 
-def assert_made(example, made, view):
-    np.testing.assert_array_equal(example.partial, made.partials[view])
-    np.testing.assert_array_equal(example.complete, made.complete)
-    np.testing.assert_array_equal(example.eye, made.eyes[view])
-
-
 def test_a_mixture_keeps_what_the_sensors_knew_and_says_the_kinds(tmp_path):
     config = ShapesConfig("test", num_shapes=1, num_views=3, partial="mixed")
     build_shapes(config, tmp_path, 0, progress=False)
@@ -23,7 +17,9 @@ def test_a_mixture_keeps_what_the_sensors_knew_and_says_the_kinds(tmp_path):
     made = make_views(TRAIN_CATEGORIES[0], shape_seed(config, 0), 3, "mixed")
     for view in range(3):
         example, given = source[view], made.visibilities[view]
-        assert_made(example, made, view)
+        np.testing.assert_array_equal(example.partial, made.partials[view])
+        np.testing.assert_array_equal(example.complete, made.complete)
+        np.testing.assert_array_equal(example.eye, made.eyes[view])
         assert example.name == f"000000/{view:02d}/{made.kinds[view]}"
         found = example.visibility
         np.testing.assert_array_equal(found.state, given.state)
