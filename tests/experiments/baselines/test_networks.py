@@ -9,7 +9,7 @@ import pytest
 from flax.traverse_util import flatten_dict
 
 from experiments.baselines.networks import NETWORKS
-from prism_jax.losses.primary import primary_loss
+from prism_jax.losses.chamfer import primary_loss
 from tests.experiments.baselines.conftest import TINY, drawn
 
 # A softmax, which seed generators do without, does not see its logits' bias, nor a
