@@ -1,4 +1,4 @@
-"""Auxiliary branches: tokens shared by both streams, normals, denoising."""
+"""The refiner, and auxiliary branches: tokens of both streams, normals, denoising."""
 
 import flax.linen as nn
 import jax
@@ -8,6 +8,23 @@ from jaxtyping import Array, Float, Int
 from prism_jax.models.config import AuxiliaryConfig
 from prism_jax.models.encoder import PointFeatures
 from prism_jax.models.layers import MLP, Dense, gather, highest
+
+
+class Refiner(nn.Module):
+    """Eq. 2: ``clamp(c + delta_max * tanh(g(c, phi)), -1, 1)``, or another bound. It
+    starts as the identity: features may be large, and so random offsets."""
+
+    config: AuxiliaryConfig
+
+    @nn.compact
+    def __call__(
+        self, points: Float[Array, "... N 3"], features: Float[Array, "... N C"]
+    ) -> Float[Array, "... N 3"]:
+        init = nn.initializers.zeros
+        g = MLP((self.config.hidden, 3), final_init=init, name="g")(points, features)
+        refined = points + self.config.max_offset * jnp.tanh(g)
+        bound = self.config.max_coordinate
+        return jnp.clip(refined, -bound, bound)
 
 
 class TokenIntegrator(nn.Module):

@@ -10,10 +10,10 @@ from jaxtyping import PRNGKeyArray
 from prism_jax.geometry.camera import Camera
 from prism_jax.losses.weighting import BRANCHES
 from prism_jax.models import prism
+from prism_jax.models.auxiliary import Refiner
 from prism_jax.models.backbone import init_backbone
 from prism_jax.models.config import ModelConfig
 from prism_jax.models.depth_encoder import DepthEncoder
-from prism_jax.models.refiner import Refiner
 from prism_jax.models.variables import Variables, on_cpu, unlearned_steps
 
 
