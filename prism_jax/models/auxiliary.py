@@ -7,7 +7,7 @@ from jaxtyping import Array, Float, Int
 
 from prism_jax.models.config import AuxiliaryConfig
 from prism_jax.models.encoder import PointFeatures
-from prism_jax.models.layers import MLP, Dense, gather, highest
+from prism_jax.models.layers import MLP, Dense, highest, take
 
 
 class Refiner(nn.Module):
@@ -95,7 +95,7 @@ class Denoiser(nn.Module):
         latent: Float[Array, "... d"],
     ) -> Float[Array, "... N 3"]:
         hidden = self.config.hidden
-        offsets = gather(perturbed, neighbors) - perturbed[..., None, :]
+        offsets = take(perturbed, neighbors) - perturbed[..., None, :]
         local = highest(MLP((hidden // 2, hidden), name="local")(offsets))
         init = nn.initializers.normal(0.01)
         mlp = MLP((hidden, hidden, 3), final_init=init, name="mlp")
