@@ -124,10 +124,12 @@ class Camera:
         eye, target, up = (jnp.asarray(x, dtype=float) for x in (eye, target, up))
         sight = target - eye
         coincident = jnp.all(sight == 0)
-        forward = _normalized(jnp.where(coincident, jnp.eye(3)[0], sight))
+        forward = jnp.where(coincident, jnp.eye(3)[0], sight)
+        forward /= jnp.linalg.norm(forward)
         parallel = jnp.linalg.norm(jnp.cross(forward, up)) <= 1e-4 * jnp.linalg.norm(up)
         least_aligned = jnp.eye(3)[jnp.argmin(jnp.abs(forward))]
-        right = _normalized(jnp.cross(forward, jnp.where(parallel, least_aligned, up)))
+        right = jnp.cross(forward, jnp.where(parallel, least_aligned, up))
+        right /= jnp.linalg.norm(right)
         rotation = jnp.stack([right, jnp.cross(forward, right), forward])
         focal = 0.5 * min(height, width) / jnp.tan(0.5 * jnp.deg2rad(fov_degrees))
         middle_x, middle_y = 0.5 * (width - 1), 0.5 * (height - 1)
@@ -160,7 +162,3 @@ class Camera:
         half_angle = jnp.arctan(jnp.clip(tangent, 1e-3, widest))
         fov_degrees = jnp.rad2deg(2 * half_angle)
         return cls.look_at(eye, center, (0.0, 0.0, 1.0), fov_degrees, height, width)
-
-
-def _normalized(vector: Float[Array, "3"]) -> Float[Array, "3"]:
-    return vector / jnp.linalg.norm(vector)
