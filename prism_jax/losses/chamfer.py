@@ -53,8 +53,6 @@ def stage_chamfers(
     FPS(C, N_s) of Eq. 10. A stage with more points than `complete` is compared
     with all of it. Differentiable like `chamfer`; no stages raise `ValueError`.
     """
-    if not stages:
-        raise ValueError("the primary loss needs at least one stage")
     pairs = ((stage, complete[: stage.shape[0]]) for stage in stages)
     return jnp.stack([chamfer(*pair, norm) for pair in pairs])
 
