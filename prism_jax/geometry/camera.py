@@ -8,7 +8,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 from jax.typing import ArrayLike
-from jaxtyping import Array, Float, Int
+from jaxtyping import Array, Float, Float64, Int
 
 from prism_jax.geometry.precision import exact_products
 
@@ -162,3 +162,14 @@ class Camera:
         half_angle = jnp.arctan(jnp.clip(tangent, 1e-3, widest))
         fov_degrees = jnp.rad2deg(2 * half_angle)
         return cls.look_at(eye, center, (0.0, 0.0, 1.0), fov_degrees, height, width)
+
+
+def camera_axes(forward: Float[np.ndarray, "3"]) -> Float64[np.ndarray, "3 3"]:
+    """Rows: right, down and forward (x if it is zero) of an OpenCV camera with z up in
+    the world."""
+    length = np.linalg.norm(forward)
+    forward = forward / length if length > 0 else np.array([1.0, 0.0, 0.0])
+    up = (0.0, 0.0, 1.0) if abs(forward[2]) < 0.999 else (0.0, 1.0, 0.0)
+    right = np.cross(forward, up)
+    right /= np.linalg.norm(right)
+    return np.stack([right, np.cross(forward, right), forward])
