@@ -20,11 +20,11 @@ from prism_jax.models.layers import (
     Dense,
     SplitPoints,
     batch_norm,
-    gather,
     highest,
     joined_dense,
     over_batch,
     repeat_in_place,
+    take,
 )
 
 LEAK = 0.2
@@ -242,9 +242,9 @@ class Neighbourhood(nn.Module):
         count = min(config.num_neighbors, coarse.shape[-2])
         fixed = jax.lax.stop_gradient(coarse)
         rows = over_batch(lambda cloud: knn(cloud, cloud, count))(fixed)
-        apart = jnp.linalg.norm(gather(fixed, rows) - fixed[..., None, :], axis=-1)
+        apart = jnp.linalg.norm(take(fixed, rows) - fixed[..., None, :], axis=-1)
         rows = jnp.where(apart <= config.radius, rows, rows[..., :1])
-        there = gather(coarse, rows)
+        there = take(coarse, rows)
         grouped = jnp.concatenate([there - coarse[..., None, :], there], axis=-1)
         layers = Layers(config.near_features, config.use_norm, 0.0, name="layers")
         return highest(layers(grouped, train=train))

@@ -23,7 +23,6 @@ from prism_jax.models.layers import (
     Dense,
     batch_norm,
     bias_init,
-    gather,
     highest,
     joined_dense,
     kernel_init,
@@ -190,7 +189,7 @@ class EdgeConv(nn.Module):
         offset, own = jnp.split(self.param("kernel", kernel_init, shape), 2)
         # W [x_j - x_i, x_i], before x_j is gathered into k times as many edges.
         center = matmul(query, own - offset)
-        edges = gather(matmul(support, offset), neighbors)
+        edges = take(matmul(support, offset), neighbors)
         if self.norm_groups is None:
             # A LeakyReLU keeps the order: the maximum may come first.
             center = center + self.param("bias", bias_init, (self.features,))

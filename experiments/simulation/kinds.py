@@ -42,8 +42,7 @@ from experiments.simulation.surroundings import (
     random_planes,
 )
 from experiments.simulation.truncation import NO_CUT, random_cut
-from prism_jax.geometry.framing import framing_camera
-from prism_jax.geometry.visibility import Visibility
+from prism_jax.geometry.visibility import Visibility, framing_camera
 
 BEAMS: Mapping[int, tuple[float, float]] = {
     16: (-15.0, 15.0),

@@ -15,7 +15,7 @@ from experiments.simulation.sensors import (
     ouster_scan,
 )
 from prism_jax.data.crops import random_crop
-from prism_jax.geometry.framing import camera_axes
+from prism_jax.geometry.camera import camera_axes
 from prism_jax.io.depth import points_from_depth
 
 PARTIALS = ("self_occlusion", "crop", "l515", "ouster", "sparse")

@@ -22,8 +22,7 @@ from experiments.simulation.sensors import (
     measured_points,
 )
 from experiments.simulation.surroundings import Surroundings
-from prism_jax.geometry.camera import Camera
-from prism_jax.geometry.framing import camera_axes
+from prism_jax.geometry.camera import Camera, camera_axes
 from prism_jax.geometry.visibility import (
     BACKGROUND,
     MAP_SIZE,

@@ -12,7 +12,7 @@ from jaxtyping import Float, Float64, Int
 from scipy.spatial.transform import Rotation
 
 from experiments.simulation.raycast import Hits, Scene
-from prism_jax.geometry.framing import camera_axes
+from prism_jax.geometry.camera import camera_axes
 
 HIDDEN_SHARES = (0.1, 0.7)  # least and most of the points that an occluder hides
 TRIES = 12

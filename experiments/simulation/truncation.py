@@ -8,7 +8,7 @@ from jaxtyping import Bool, Float, Float64
 
 from experiments.simulation.raycast import Scene
 from experiments.simulation.readings import Readings
-from prism_jax.geometry.framing import camera_axes
+from prism_jax.geometry.camera import camera_axes
 from prism_jax.geometry.visibility import BACKGROUND, NEARER, SURFACE, UNKNOWN
 
 KEPT_SHARES = (0.25, 0.85)  # least and most of the points that a cut leaves

@@ -14,8 +14,8 @@ from jaxtyping import Array, Float
 from prism_jax.adaptation.config import AdaptConfig, MetaConfig, PrismConfig
 from prism_jax.adaptation.inner_loop import descend, step_sizes, unroll
 from prism_jax.adaptation.objective import Losses, test_time_objective
+from prism_jax.losses.chamfer import primary_loss
 from prism_jax.losses.depth import depth_supervised
-from prism_jax.losses.primary import primary_loss
 from prism_jax.losses.weighting import weighted_auxiliary
 from prism_jax.models.prism import decode_and_refine, encode, hold_decoding, refine
 from prism_jax.models.variables import ENCODERS, Variables, pop_encoders, put_encoders

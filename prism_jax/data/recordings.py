@@ -27,8 +27,7 @@ from prism_jax.assets import asset
 from prism_jax.data.manifest import MANIFEST, check_files, read_manifest
 from prism_jax.data.source import Example
 from prism_jax.geometry.camera import Camera
-from prism_jax.geometry.framing import framing_camera
-from prism_jax.geometry.visibility import Visibility
+from prism_jax.geometry.visibility import Visibility, framing_camera
 from prism_jax.io.clouds import check_cloud
 from prism_jax.io.depth import points_from_depth, read_depth, read_grey
 from prism_jax.io.errors import InputError, StrPath

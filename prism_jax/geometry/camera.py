@@ -8,7 +8,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 from jax.typing import ArrayLike
-from jaxtyping import Array, Float, Int
+from jaxtyping import Array, Float, Float64, Int
 
 from prism_jax.geometry.precision import exact_products
 
@@ -124,10 +124,12 @@ class Camera:
         eye, target, up = (jnp.asarray(x, dtype=float) for x in (eye, target, up))
         sight = target - eye
         coincident = jnp.all(sight == 0)
-        forward = _normalized(jnp.where(coincident, jnp.eye(3)[0], sight))
+        forward = jnp.where(coincident, jnp.eye(3)[0], sight)
+        forward /= jnp.linalg.norm(forward)
         parallel = jnp.linalg.norm(jnp.cross(forward, up)) <= 1e-4 * jnp.linalg.norm(up)
         least_aligned = jnp.eye(3)[jnp.argmin(jnp.abs(forward))]
-        right = _normalized(jnp.cross(forward, jnp.where(parallel, least_aligned, up)))
+        right = jnp.cross(forward, jnp.where(parallel, least_aligned, up))
+        right /= jnp.linalg.norm(right)
         rotation = jnp.stack([right, jnp.cross(forward, right), forward])
         focal = 0.5 * min(height, width) / jnp.tan(0.5 * jnp.deg2rad(fov_degrees))
         middle_x, middle_y = 0.5 * (width - 1), 0.5 * (height - 1)
@@ -162,5 +164,12 @@ class Camera:
         return cls.look_at(eye, center, (0.0, 0.0, 1.0), fov_degrees, height, width)
 
 
-def _normalized(vector: Float[Array, "3"]) -> Float[Array, "3"]:
-    return vector / jnp.linalg.norm(vector)
+def camera_axes(forward: Float[np.ndarray, "3"]) -> Float64[np.ndarray, "3 3"]:
+    """Rows: right, down and forward (x if it is zero) of an OpenCV camera with z up in
+    the world."""
+    length = np.linalg.norm(forward)
+    forward = forward / length if length > 0 else np.array([1.0, 0.0, 0.0])
+    up = (0.0, 0.0, 1.0) if abs(forward[2]) < 0.999 else (0.0, 1.0, 0.0)
+    right = np.cross(forward, up)
+    right /= np.linalg.norm(right)
+    return np.stack([right, np.cross(forward, right), forward])

@@ -4,22 +4,13 @@
 from collections.abc import Sequence
 
 import jax.numpy as jnp
-from jaxtyping import Array, Float, Int
+from jaxtyping import Array, Bool, Float, Int
 
 
-def first_lowest(values: Float[Array, "... N"]) -> Int[Array, "..."]:
-    """Index of the lowest value of the last axis, the first of several; no NaN."""
-    return _first(values == values.min(-1, keepdims=True))
-
-
-def first_highest(values: Float[Array, "... N"]) -> Int[Array, "..."]:
-    """Index of the highest value of the last axis, the first of several; no NaN."""
-    return _first(values == values.max(-1, keepdims=True))
-
-
-def _first(chosen: Array) -> Array:
-    last = chosen.shape[-1] - 1
-    return jnp.where(chosen, jnp.arange(last + 1, dtype=jnp.int32), last).min(-1)
+def first_true(marked: Bool[Array, "... N"]) -> Int[Array, "..."]:
+    """Index of the first that is marked in the last axis, where one is."""
+    last = marked.shape[-1] - 1
+    return jnp.where(marked, jnp.arange(last + 1, dtype=jnp.int32), last).min(-1)
 
 
 def inserted(

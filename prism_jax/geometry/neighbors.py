@@ -15,7 +15,7 @@ import numpy as np
 from jaxtyping import Array, Float, Int, Shaped
 
 from prism_jax.geometry import kernels
-from prism_jax.geometry.extrema import first_lowest, inserted
+from prism_jax.geometry.extrema import first_true, inserted
 from prism_jax.geometry.precision import exact_products
 
 _NEAREST_RUN = 32
@@ -137,8 +137,10 @@ def _run_minima(query: Array, runs: Array) -> Array:
 
 def _nearest_indices(query: Array, support: Array) -> Array:
     runs = _runs(support, _NEAREST_RUN)
-    run = first_lowest(_run_minima(query, runs))
-    inside = first_lowest(_squared_distances(query[:, None], runs[run]))
+    minima = _run_minima(query, runs)
+    run = first_true(minima == minima.min(-1, keepdims=True))
+    distances = _squared_distances(query[:, None], runs[run])
+    inside = first_true(distances == distances.min(-1, keepdims=True))
     return run * _NEAREST_RUN + inside
 
 

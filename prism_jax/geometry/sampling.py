@@ -7,7 +7,7 @@ import jax.numpy as jnp
 from jaxtyping import Array, Float, Int
 
 from prism_jax.geometry import kernels
-from prism_jax.geometry.extrema import first_highest
+from prism_jax.geometry.extrema import first_true
 
 NEAR_ORIGIN = 1e-3  # squared radius inside which the reference's sampling never looks
 
@@ -53,7 +53,8 @@ def _farthest_indices(
         distances, last = carry
         x, y, z = (column - column[last] for column in columns)
         distances = jnp.minimum(distances, x**2 + y**2 + z**2)
-        return (distances, first_highest(distances)), last
+        farthest = distances == distances.max(-1, keepdims=True)
+        return (distances, first_true(farthest)), last
 
     # Any first distance is smaller. One of -1 stays.
     unlimited = jnp.asarray(jnp.inf, points.dtype)

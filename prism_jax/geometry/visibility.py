@@ -12,7 +12,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float, Float32, Int, UInt8
 
-from prism_jax.geometry.camera import MIN_DEPTH, Camera, Vector
+from prism_jax.geometry.camera import MIN_DEPTH, Camera, Vector, camera_axes
 from prism_jax.geometry.neighbors import knn
 from prism_jax.geometry.precision import exact_products
 from prism_jax.geometry.render import render_depth
@@ -23,6 +23,7 @@ hides all behind it; or what lies beyond the object."""
 
 MAP_SIZE = 64  # pixels of the side of the maps that are made and stored
 MAP_MARGIN = 1.4  # of a map around the object's points: it sees past the silhouette
+WIDEST = np.tan(np.deg2rad(60.0))  # a tangent: `Camera.framing` sees to it at each side
 CLOSED = 3.0  # in spacings of the points: holes in a cloud that are no wider are closed
 
 Background = Literal["unknown", "empty"]
@@ -91,6 +92,25 @@ def nothing_known(size: int = MAP_SIZE) -> Visibility:
     axes, shape = np.eye(3, dtype=np.float32), (size, size)
     camera = Camera(axes, np.zeros(3, np.float32), axes, *shape)
     return Visibility(camera, np.zeros(shape, np.uint8), np.zeros(shape, np.float32))
+
+
+def framing_camera(
+    points: Float[np.ndarray, "N 3"],
+    eye: Float[np.ndarray, "3"],
+    widest: float = np.inf,
+) -> Camera:
+    """The camera of a map of `MAP_SIZE` that a cloud fills with `MAP_MARGIN`, at either
+    side to the tangent `widest` at most: to that, if points are beside or behind it. As
+    `Camera.framing`, in float64 and without JAX."""
+    axes = camera_axes(0.5 * (points.min(axis=0) + points.max(axis=0)) - eye)
+    in_camera = (points - eye) @ axes.T
+    tangent = widest
+    if (in_camera[:, 2] > MIN_DEPTH).all():
+        tangent = MAP_MARGIN * np.abs(in_camera[:, :2] / in_camera[:, 2:]).max()
+    tangent = min(max(tangent, 1e-3), widest)
+    focal, middle = 0.5 * MAP_SIZE / tangent, 0.5 * (MAP_SIZE - 1)
+    intrinsics = np.array([(focal, 0, middle), (0, focal, middle), (0, 0, 1)])
+    return Camera(axes, -axes @ eye, intrinsics, MAP_SIZE, MAP_SIZE)
 
 
 def seen_by(

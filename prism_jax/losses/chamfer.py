@@ -1,4 +1,4 @@
-"""Chamfer distance between two point clouds."""
+"""Chamfer distance between two point clouds, and its sum over all stages, Eq. 10."""
 
 from typing import Literal
 
@@ -40,6 +40,31 @@ def chamfer(
     if norm == "l1":
         return 0.5 * (_mean_root(to_target) + _mean_root(to_prediction))
     raise ValueError(f"unknown Chamfer norm {norm!r}: use 'l1' or 'l2'")
+
+
+def stage_chamfers(
+    stages: tuple[Float[Array, "_ 3"], ...],
+    complete: Float[Array, "M 3"],
+    norm: ChamferNorm = "l2",
+) -> Float[Array, " S"]:
+    """Chamfer distance of every stage to as many points of the complete cloud.
+
+    `complete` must be in farthest-point order, so that its first N_s points are
+    FPS(C, N_s) of Eq. 10. A stage with more points than `complete` is compared
+    with all of it. Differentiable like `chamfer`; no stages raise `ValueError`.
+    """
+    pairs = ((stage, complete[: stage.shape[0]]) for stage in stages)
+    return jnp.stack([chamfer(*pair, norm) for pair in pairs])
+
+
+def primary_loss(
+    stages: tuple[Float[Array, "_ 3"], ...],
+    complete: Float[Array, "M 3"],
+    norm: ChamferNorm = "l2",
+) -> Float[Array, ""]:
+    """Eq. 10: the sum of the Chamfer distances of all stages, equally weighted. Inputs,
+    gradients and faults as in `stage_chamfers`."""
+    return jnp.sum(stage_chamfers(stages, complete, norm))
 
 
 def _mean_root(squared: Float[Array, " N"]) -> Float[Array, ""]:

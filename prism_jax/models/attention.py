@@ -17,9 +17,7 @@ from prism_jax.models import layers
 from prism_jax.models.config import BackboneConfig
 from prism_jax.models.pyramid import Pyramid
 
-interpolate = jnp.vectorize(
-    three_point_interpolate, signature="(n,d),(m,d),(m,c),(n,k)->(n,c)"
-)
+interpolate = layers.over_batch(three_point_interpolate)
 
 
 class Cloud(NamedTuple):
@@ -114,7 +112,7 @@ def hidden_and_values(
     # gathered. The barrier keeps XLA from fusing the concatenation into the gather.
     support = [key, position(support_xyz, bias=False), value]
     support = jax.lax.optimization_barrier(jnp.concatenate(support, axis=-1))
-    key, offset, value = jnp.split(layers.gather(support, neighbors), 3, -1)
+    key, offset, value = jnp.split(layers.take(support, neighbors), 3, -1)
     offset = position(query_xyz)[..., None, :] - offset
     if config.use_norm:
         offset = layers.batch_norm(train, "position_norm")(offset)

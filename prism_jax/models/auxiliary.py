@@ -1,4 +1,4 @@
-"""Auxiliary branches: tokens shared by both streams, normals, denoising."""
+"""The refiner, and auxiliary branches: tokens of both streams, normals, denoising."""
 
 import flax.linen as nn
 import jax
@@ -7,7 +7,24 @@ from jaxtyping import Array, Float, Int
 
 from prism_jax.models.config import AuxiliaryConfig
 from prism_jax.models.encoder import PointFeatures
-from prism_jax.models.layers import MLP, Dense, gather, highest
+from prism_jax.models.layers import MLP, Dense, highest, take
+
+
+class Refiner(nn.Module):
+    """Eq. 2: ``clamp(c + delta_max * tanh(g(c, phi)), -1, 1)``, or another bound. It
+    starts as the identity: features may be large, and so random offsets."""
+
+    config: AuxiliaryConfig
+
+    @nn.compact
+    def __call__(
+        self, points: Float[Array, "... N 3"], features: Float[Array, "... N C"]
+    ) -> Float[Array, "... N 3"]:
+        init = nn.initializers.zeros
+        g = MLP((self.config.hidden, 3), final_init=init, name="g")(points, features)
+        refined = points + self.config.max_offset * jnp.tanh(g)
+        bound = self.config.max_coordinate
+        return jnp.clip(refined, -bound, bound)
 
 
 class TokenIntegrator(nn.Module):
@@ -78,7 +95,7 @@ class Denoiser(nn.Module):
         latent: Float[Array, "... d"],
     ) -> Float[Array, "... N 3"]:
         hidden = self.config.hidden
-        offsets = gather(perturbed, neighbors) - perturbed[..., None, :]
+        offsets = take(perturbed, neighbors) - perturbed[..., None, :]
         local = highest(MLP((hidden // 2, hidden), name="local")(offsets))
         init = nn.initializers.normal(0.01)
         mlp = MLP((hidden, hidden, 3), final_init=init, name="mlp")

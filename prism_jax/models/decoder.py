@@ -1,5 +1,6 @@
 """The decoder: seeds, then up-sampling blocks from coarse to fine."""
 
+import functools
 from typing import NamedTuple
 
 import flax.linen as nn
@@ -127,7 +128,7 @@ class UpsamplingBlock(nn.Module):
             # Zero at first, so that training can go on from weights without it.
             zeros = nn.initializers.zeros
             reading = MLP((width // 2, width), zeros, name="clues")
-            x = x + reading(read(xyz, _given(visibility)))
+            x = x + reading(read(xyz, visibility))
         whole = highest(x)[..., None, :]
         mlp = MLP((4 * width, 2 * width, width), name="point_1")
         return mlp(x, whole, global_feature[..., None, :])
@@ -167,9 +168,11 @@ class Decoder(nn.Module):
         visibility: Visibility | None = None,
     ) -> Decoded:
         config = self.config
-        if config.seeds_read_visibility:
+        if config.reads_visibility and visibility is None:
+            raise ValueError("a decoder that reads visibility needs a map")
+        if config.seeds_read_visibility and visibility is not None:
             pooled = VisibilityPooling(config, name="visibility_pooling")
-            whole = encoded.global_feature + pooled(partial, _given(visibility))
+            whole = encoded.global_feature + pooled(partial, visibility)
             encoded = encoded._replace(global_feature=whole)
         seeds, features = SeedGenerator(config, name="seed_generator")(encoded, train)
         joined = jnp.concatenate([seeds, partial], axis=-2)
@@ -187,8 +190,9 @@ class Decoder(nn.Module):
                 if i:
                     half = xyz.shape[-2] // 2
                     support_order, order = order, pyramid.sampled_rows(xyz, half)
-                orders, near = (order, support_order), config.num_neighbors
-                pair = _pyramids(xyz, previous.xyz, orders, rates, near)
+                levels = rates, config.num_neighbors
+                build = over_batch(functools.partial(_pyramids, levels=levels))
+                pair = build(xyz, order, previous.xyz, support_order)
             else:
                 pair = indices.pyramids[i]
             pyramids.append(pair)
@@ -201,23 +205,14 @@ class Decoder(nn.Module):
         return Decoded(tuple(stages), features, DecoderIndices(initial, (*pyramids,)))
 
 
-def _given(visibility: Visibility | None) -> Visibility:
-    if visibility is None:
-        raise ValueError("a decoder that reads visibility needs a map")
-    return visibility
-
-
 def _pyramids(
     xyz: Array,
+    order: Array,
     support: Array,
-    orders: tuple[Array, Array],
-    rates: tuple[int, ...],
-    num_neighbors: tuple[int, ...],
+    support_order: Array,
+    levels: tuple[tuple[int, ...], tuple[int, ...]],
 ) -> tuple[pyramid.Pyramid, pyramid.Pyramid]:
-    def build(xyz: Array, order: Array, other: Array, other_order: Array):
-        levels = rates, num_neighbors
-        inter = pyramid.build_pyramid(xyz, other, order, other_order, *levels)
-        return inter, pyramid.build_pyramid(xyz, xyz, order, order, *levels)
-
+    """Of one cloud, to what it looks at and within itself."""
     xyz, support = jax.lax.stop_gradient((xyz, support))
-    return over_batch(build)(xyz, orders[0], support, orders[1])
+    inter = pyramid.build_pyramid(xyz, support, order, support_order, *levels)
+    return inter, pyramid.build_pyramid(xyz, xyz, order, order, *levels)

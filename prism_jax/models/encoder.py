@@ -10,7 +10,7 @@ from prism_jax.geometry.neighbors import knn
 from prism_jax.models import pyramid
 from prism_jax.models.attention import Cloud, CrossResolutionTransformer
 from prism_jax.models.config import BackboneConfig
-from prism_jax.models.layers import MLP, Dense, gather, highest, over_batch, take
+from prism_jax.models.layers import MLP, Dense, highest, over_batch, take
 
 
 class EncoderIndices(NamedTuple):
@@ -71,7 +71,7 @@ class SetAbstraction(nn.Module):
         features: Float[Array, "... N C"],
         neighbors: Int[Array, "... M k"],
     ) -> Float[Array, "... M D"]:
-        together = gather(jnp.concatenate([xyz, features], -1), neighbors)
+        together = take(jnp.concatenate([xyz, features], -1), neighbors)
         relative = together[..., :3] - centers[..., None, :]
         grouped = jnp.concatenate([relative, together[..., 3:]], -1)
         return highest(MLP(self.widths, name="mlp")(grouped))

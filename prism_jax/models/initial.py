@@ -10,11 +10,11 @@ from jaxtyping import PRNGKeyArray
 from prism_jax.geometry.camera import Camera
 from prism_jax.losses.weighting import BRANCHES
 from prism_jax.models import prism
+from prism_jax.models.auxiliary import Refiner
 from prism_jax.models.backbone import init_backbone
 from prism_jax.models.config import ModelConfig
 from prism_jax.models.depth_encoder import DepthEncoder
-from prism_jax.models.refiner import Refiner
-from prism_jax.models.variables import Variables, on_cpu, unlearned_steps
+from prism_jax.models.variables import ENCODERS, Variables, on_cpu
 
 
 def init_variables(key: PRNGKeyArray, config: ModelConfig) -> Variables:
@@ -64,9 +64,10 @@ def init_auxiliary(
         "auxiliary": {name: own["params"] for name, own in fresh.items()},
     }
     statistics = {**backbone["batch_stats"], "depth_encoder": depth["batch_stats"]}
+    unlearned = {n: dict.fromkeys(params[n], jnp.zeros(())) for n in ENCODERS}
     weighting = {
         "logits": jnp.zeros(len(BRANCHES)),
         "scales": jnp.zeros(len(BRANCHES)),
-        "log_steps": unlearned_steps(params),
+        "log_steps": unlearned,
     }
     return {"params": params, "batch_stats": statistics, "weighting": weighting}

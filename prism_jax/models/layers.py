@@ -10,14 +10,6 @@ from jaxtyping import Array, Float
 
 from prism_jax.geometry import kernels
 
-gather = jnp.vectorize(
-    lambda features, i: features[i], signature="(n,c),(m,k)->(m,k,c)"
-)
-"""Rows of ``(..., N, C)`` features at ``(..., M, k)`` indices."""
-
-take = jnp.vectorize(lambda features, i: features[i], signature="(n,c),(m)->(m,c)")
-"""Rows of ``(..., N, C)`` features at ``(..., M)`` indices."""
-
 
 def highest(features: Float[Array, "... N C"]) -> Float[Array, "... C"]:
     """The maximum over the points; the first of several has the derivative.
@@ -47,6 +39,10 @@ def over_batch(fn: Callable[..., Any]) -> Callable[..., Any]:
         return batched(cloud, *others)
 
     return mapped
+
+
+take = over_batch(lambda features, rows: features[rows])
+"""Rows of ``(..., N, C)`` features at ``(..., M)`` or ``(..., M, k)`` indices."""
 
 
 def matmul(x: Float[Array, "... C"], kernel: Float[Array, "C D"]) -> Array:

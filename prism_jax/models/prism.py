@@ -18,7 +18,6 @@ from prism_jax.models.config import ModelConfig
 from prism_jax.models.decoder import Decoded, DecoderIndices
 from prism_jax.models.depth_encoder import DepthEncoder
 from prism_jax.models.encoder import EncoderIndices, PointFeatures, encoder_indices
-from prism_jax.models.refiner import Refiner
 from prism_jax.models.variables import Variables, apply, part
 
 
@@ -155,7 +154,7 @@ def refine(
     variables: Variables, decoded: Decoded | Prediction, config: ModelConfig
 ) -> Float[Array, "... N 3"]:
     """The last stage's points as the refiner leaves them (Eq. 2)."""
-    own, refiner = part(variables, "refiner"), Refiner(config.auxiliary)
+    own, refiner = part(variables, "refiner"), auxiliary.Refiner(config.auxiliary)
     return apply(refiner, own, decoded.stages[-1], decoded.features)
 
 

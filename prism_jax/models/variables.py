@@ -12,7 +12,6 @@ from typing import Any
 
 import flax.linen as nn
 import jax
-import jax.numpy as jnp
 
 Variables = dict[str, Any]
 
@@ -40,11 +39,6 @@ def pop_encoders(variables: Variables) -> tuple[Variables, Variables]:
 def put_encoders(encoders: Variables, rest: Variables) -> Variables:
     """The inverse of `pop_encoders`, with these encoders in the place of theirs."""
     return {**rest, "params": {**rest["params"], **encoders}}
-
-
-def unlearned_steps(params: Variables) -> Variables:
-    """The `log_steps` of encoders whose step sizes are the configuration's."""
-    return {name: dict.fromkeys(params[name], jnp.zeros(())) for name in ENCODERS}
 
 
 def apply(

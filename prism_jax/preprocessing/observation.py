@@ -230,12 +230,10 @@ def compile_sampling(num_points: int, most: int) -> None:
 
     A quarter of a second for each power of two, for who cannot wait in between.
     """
-    size = len(padded(np.zeros((num_points, 3), np.float32)))
-    while True:
-        jax.block_until_ready(_farthest(np.zeros((size, 3), np.float32), num_points))
-        if size >= most:
-            return
-        size *= 2
+    least, largest = ((max(n, num_points) - 1).bit_length() for n in (1, most))
+    for power in range(least, largest + 1):
+        points = np.zeros((1 << power, 3), np.float32)
+        jax.block_until_ready(_farthest(points, num_points))
 
 
 def padded(

@@ -22,15 +22,20 @@ def upright(up: str | Vector) -> Float64[np.ndarray, "3 3"] | None:
     `up` is one of `UP_AXES` or a vector, for which it is the smallest turn. Any other
     name, and a vector that is zero or not finite, raise InputError.
     """
-    if not isinstance(up, str):
-        return _smallest_turn(_unit(up, "up", _REMEDY))
-    if up not in UP_AXES:
-        raise InputError(f"up={up}", "no such axis", _REMEDY)
-    if up == "z":
-        return None
-    axis = np.eye(3)["xyz".index(up[-1])]
-    turn = _smallest_turn(-axis if up[0] == "-" else axis)
-    return turn + 0.0  # without signed zeros
+    if isinstance(up, str):
+        if up not in UP_AXES:
+            raise InputError(f"up={up}", "no such axis", _REMEDY)
+        if up == "z":
+            return None
+        axis = np.eye(3)["xyz".index(up[-1])]
+        up = -axis if up[0] == "-" else axis
+    up = _unit(up, "up", _REMEDY)
+    sine, cosine = np.hypot(up[0], up[1]), up[2]
+    ahead = up[:2] / sine if sine > 0 else np.array([0.0, 1.0])
+    # Along the horizontal part of up, across it, and z: the turn is about the second.
+    axes = np.array([[*ahead, 0.0], [-ahead[1], ahead[0], 0.0], [0.0, 0.0, 1.0]])
+    turn = np.array([[cosine, 0.0, -sine], [0.0, 1.0, 0.0], [sine, 0.0, cosine]])
+    return axes.T @ turn @ axes + 0.0  # without signed zeros
 
 
 def parse_up(text: str) -> str | Float64[np.ndarray, "3"]:
@@ -52,13 +57,3 @@ def _unit(vector: Any, subject: str, remedy: str) -> Float64[np.ndarray, "3"]:
     # Squares of very large or small numbers would not be representable.
     vector = vector / np.abs(vector).max()
     return vector / np.linalg.norm(vector)
-
-
-def _smallest_turn(up: Float64[np.ndarray, "3"]) -> Float64[np.ndarray, "3 3"]:
-    """The rotation about an axis across `up` and z that takes the one to the other."""
-    sine, cosine = np.hypot(up[0], up[1]), up[2]
-    ahead = up[:2] / sine if sine > 0 else np.array([0.0, 1.0])
-    # Along the horizontal part of up, across it, and z: the turn is about the second.
-    axes = np.array([[*ahead, 0.0], [-ahead[1], ahead[0], 0.0], [0.0, 0.0, 1.0]])
-    turn = np.array([[cosine, 0.0, -sine], [0.0, 1.0, 0.0], [sine, 0.0, cosine]])
-    return axes.T @ turn @ axes

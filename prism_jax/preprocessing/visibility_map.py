@@ -7,7 +7,6 @@ from scipy.spatial import KDTree
 
 from prism_jax.geometry.camera import MIN_DEPTH, Camera
 from prism_jax.geometry.cloud import IndexedCloud
-from prism_jax.geometry.framing import WIDEST, framing_camera
 from prism_jax.geometry.visibility import (
     BACKGROUND,
     CLOSED,
@@ -15,9 +14,11 @@ from prism_jax.geometry.visibility import (
     NEARER,
     SURFACE,
     UNKNOWN,
+    WIDEST,
     Background,
     Visibility,
     closed,
+    framing_camera,
     look_up,
 )
 from prism_jax.geometry.workspace import CUBE_MARGIN, Workspace

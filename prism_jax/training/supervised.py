@@ -10,8 +10,7 @@ from jaxtyping import Array, Float
 
 from prism_jax.data.pipeline import Batch
 from prism_jax.geometry.neighbors import nearest
-from prism_jax.losses.chamfer import chamfer
-from prism_jax.losses.primary import stage_chamfers
+from prism_jax.losses.chamfer import chamfer, stage_chamfers
 from prism_jax.models import backbone
 from prism_jax.models.config import BackboneConfig
 from prism_jax.models.variables import Variables

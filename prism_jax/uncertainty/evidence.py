@@ -9,7 +9,7 @@ from prism_jax.preprocessing.visibility import PAST, looked_through
 
 SAMPLE = 1024  # measured points that are asked, evenly spaced rows of a larger cloud
 
-PLANE_NEIGHBORS = 12  # of a measured point, that a plane is laid through
+PLANE_NEIGHBORS = 12  # of a point and itself, that a plane is laid through
 
 LOOKS = 3
 """A verdict compares what a frame is completed to in so many poses, the first of

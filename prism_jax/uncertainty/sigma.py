@@ -9,7 +9,7 @@ from jaxtyping import Float
 from prism_jax.geometry.cloud import IndexedCloud
 from prism_jax.preprocessing.observation import Observation
 from prism_jax.preprocessing.visibility import beside_and_behind
-from prism_jax.uncertainty.evidence import Looks, asked, roughness
+from prism_jax.uncertainty.evidence import PLANE_NEIGHBORS, Looks, asked, roughness
 from prism_jax.uncertainty.trees import Trees
 
 CLUES = (
@@ -38,8 +38,6 @@ CLUES = (
 )
 """What the error of a predicted point is told from, without the truth. Lengths are in
 half sides of the workspace."""
-
-PLANE_NEIGHBORS = 12  # of a predicted point and itself, that a plane is laid through
 
 BETWEEN = 3  # predicted points that say how far off one is that was added between them
 

@@ -7,8 +7,8 @@ import pytest
 
 from prism_jax.adaptation.config import MetaConfig
 from prism_jax.adaptation.meta import meta_gradients
+from prism_jax.losses.chamfer import primary_loss
 from prism_jax.losses.depth import depth_supervised
-from prism_jax.losses.primary import primary_loss
 from prism_jax.models.prism import predict, prepare_input
 from tests.trees import as_double, dot, row
 

@@ -1,4 +1,4 @@
-"""Chamfer distance: values against a k-d tree and the parity arrays, gradients."""
+"""Chamfer distance and Eq. 10: values against trees and parity arrays, gradients."""
 
 import jax
 import jax.numpy as jnp
@@ -7,7 +7,7 @@ import pytest
 from jax.test_util import check_grads
 from scipy.spatial import KDTree
 
-from prism_jax.losses.chamfer import chamfer
+from prism_jax.losses.chamfer import chamfer, primary_loss, stage_chamfers
 
 RNG = np.random.default_rng(0)
 NORMS = ("l2", "l1")
@@ -19,6 +19,7 @@ def both(prediction, target):
     return jnp.stack([chamfer(prediction, target, norm) for norm in NORMS])
 
 
+primary_slope = jax.jit(jax.value_and_grad(primary_loss), static_argnames="norm")
 gradients = jax.jit(jax.jacrev(both, argnums=(0, 1)))
 
 
@@ -102,3 +103,41 @@ def test_faults():
     spoiled[7, 1] = np.nan
     for pair in ((spoiled, cloud(40)), (cloud(40), spoiled)):
         assert np.isnan(both(*pair)[0])
+
+
+def test_each_stage_sees_as_many_points_of_the_complete_cloud():
+    """And a longer one all of them."""
+    stages, complete = (cloud(3, 8), cloud(3, 40)), cloud(3, 30)
+    totals, gradients = jax.vmap(primary_slope)(stages, complete)
+    for i in range(3):
+        alone = tuple(stage[i] for stage in stages)
+        counts = zip(alone, (8, 30), strict=True)
+        expected = sum(tree_chamfers(stage, complete[i, :n])[0] for stage, n in counts)
+        total, own = primary_slope(alone, complete[i])
+        assert np.allclose([total, totals[i]], expected, rtol=1e-5)
+        for many, one in zip(gradients, own, strict=True):
+            assert np.any(np.asarray(one) != 0)
+            assert np.allclose(many[i], one, atol=1e-6)
+
+
+def test_stages_agree_with_the_reference(reference):
+    """Of all stages but the last, which takes long, and is no different."""
+    arrays = reference("crapcn_pcn.npz")
+    stages = tuple(jnp.asarray(arrays[f"official_f32/out_{i}"]) for i in range(3))
+    # Every stage's target is a prefix of one order.
+    complete = arrays[f"gt_{stages[2].shape[1]}"]
+
+    @jax.jit
+    @jax.vmap
+    def of_stages(stages, complete):
+        return [stage_chamfers(stages, complete, norm) for norm in ("l1", "l2")]
+
+    for values, name in zip(of_stages(stages, complete), ("sqrt", "sq"), strict=True):
+        expected = arrays[f"loss/clamp_{name}"][1:4]
+        assert np.allclose(values.mean(0), expected, rtol=1e-5)
+
+
+def test_collapsed_stages_have_finite_gradients():
+    stages = (jnp.ones((1, 3)), jnp.zeros((12, 3)))
+    _, gradients = primary_slope(stages, cloud(12), norm="l1")
+    assert all(np.all(np.isfinite(g)) for g in gradients)

@@ -7,7 +7,7 @@ import pytest
 from flax.traverse_util import flatten_dict
 
 from experiments.baselines.crapcn import convert_state_dict
-from prism_jax.losses.primary import stage_chamfers
+from prism_jax.losses.chamfer import stage_chamfers
 from prism_jax.models.backbone import decode, encode_points, train_backbone
 
 

@@ -4,8 +4,8 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
+from prism_jax.models.auxiliary import Refiner
 from prism_jax.models.config import AuxiliaryConfig
-from prism_jax.models.refiner import Refiner
 
 CONFIG = AuxiliaryConfig(hidden=8)
 RNG = np.random.default_rng(0)

@@ -10,7 +10,7 @@ from experiments.baselines.pcn import PCN, PCNConfig
 from experiments.baselines.training import network_phase
 from experiments.settings import resolve
 from prism_jax.data.pipeline import Framing
-from prism_jax.losses.primary import stage_chamfers
+from prism_jax.losses.chamfer import stage_chamfers
 from prism_jax.training.config import PhaseConfig
 from tests.trees import equal
 

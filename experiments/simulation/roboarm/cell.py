@@ -25,8 +25,7 @@ from experiments.simulation.roboarm.furnishings import (
 )
 from experiments.simulation.roboarm.robots import Robot
 from experiments.simulation.solids import Rng, Solids, box, rod
-from prism_jax.geometry.camera import Camera
-from prism_jax.geometry.framing import camera_axes
+from prism_jax.geometry.camera import Camera, camera_axes
 
 HIDDEN_SHARE = (0.2, 0.5)
 """Of the robot's surface, over a sequence, that clutter is to hide from the camera."""

@@ -16,13 +16,13 @@ from experiments.simulation.views import PARTIAL_POINTS, SURFACE_POINTS
 from prism_jax.data.ordering import farthest_point_order
 from prism_jax.data.recordings import DEPTH_SCALE, LABELS
 from prism_jax.geometry.camera import Camera
-from prism_jax.geometry.framing import framing_camera
 from prism_jax.geometry.visibility import (
     BACKGROUND,
     NEARER,
     SURFACE,
     UNKNOWN,
     Visibility,
+    framing_camera,
 )
 from prism_jax.preprocessing.visibility_map import box_exit
 

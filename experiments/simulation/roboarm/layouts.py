@@ -22,8 +22,7 @@ from experiments.simulation.roboarm.furnishings import (
 from experiments.simulation.roboarm.mounts import Mount
 from experiments.simulation.sensors import l515_camera
 from experiments.simulation.solids import Rng, Solids, box
-from prism_jax.geometry.camera import Camera
-from prism_jax.geometry.framing import camera_axes
+from prism_jax.geometry.camera import Camera, camera_axes
 
 PERSON_SHARES = (0.45, 0.35, 0.2)  # how often nobody, one and two stand in a cell
 HIDDEN = 0.7  # most of the arm that clutter and people hide from the camera

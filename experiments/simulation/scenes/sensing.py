@@ -16,7 +16,7 @@ from experiments.simulation.sensors import (
     measure,
     measured_points,
 )
-from prism_jax.geometry.framing import camera_axes
+from prism_jax.geometry.camera import camera_axes
 from prism_jax.preprocessing.segmentation.scene import LEFT_OVER
 
 TILTS = (20.0, 60.0)  # degrees by which a sensor looks down

@@ -82,15 +82,15 @@ def split_scene(
     size = extent(thinned.cells.points)
     support, walls, aside = _set_aside(thinned, eye, camera_rotation)
     number = np.where(aside, SUPPORT, LEFT_OVER)
+    planes = walls if support is None else [support, *walls]
     if not aside.all():
-        gap = GAP * size if support is None and not walls else 0.0
+        gap = 0.0 if planes else GAP * size
         rest = points[~aside]
         whole = objects_of(rest, found.vector, eye, support, gap)
-        planes = walls if support is None else [support, *walls]
         number[~aside] = _numbered(rest, whole, planes, size)
     return SegmentedScene(
         object=number,
-        planes=(() if support is None else (support,)) + tuple(walls),
+        planes=tuple(planes),
         num_points=tuple(np.bincount(number[number >= 0]).tolist()),
         num_support=int((number == SUPPORT).sum()),
         num_left_over=int((number == LEFT_OVER).sum()),

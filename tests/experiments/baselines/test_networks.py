@@ -9,7 +9,7 @@ import pytest
 from flax.traverse_util import flatten_dict
 
 from experiments.baselines.networks import NETWORKS
-from prism_jax.losses.primary import primary_loss
+from prism_jax.losses.chamfer import primary_loss
 from tests.experiments.baselines.conftest import TINY
 from tests.trees import drawn
 
