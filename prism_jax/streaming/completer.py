@@ -13,7 +13,6 @@ from prism_jax.completion.options import CompletionOptions
 from prism_jax.envelope.robot import of_robot
 from prism_jax.geometry.visibility import Background
 from prism_jax.geometry.workspace import Workspace
-from prism_jax.io.arrays import Fields
 from prism_jax.io.clouds import check_cloud, inside
 from prism_jax.io.ply import COMPLETED, KNOWN, OBSERVED
 from prism_jax.io.streams.frame import Frame
@@ -22,32 +21,20 @@ from prism_jax.preprocessing.observation import compile_sampling
 from prism_jax.streaming.observer import FrameObserver
 
 
-@dataclasses.dataclass(frozen=True)
-class CompletedFrame:
-    """A completed frame, in the frame and unit of its measured points."""
+@dataclasses.dataclass(frozen=True, kw_only=True)
+class CompletedFrame(Labelled):
+    """A completed frame, in the frame and unit of its measured points: those inside the
+    workspace, exactly as they were, then the predicted ones where nothing was measured,
+    and points on a known robot's surface. `run_stream` gives it its number."""
 
-    # The measured points inside the workspace, exactly as they were, then the predicted
-    # ones where nothing was measured, and points on a known robot's surface.
-    points: Float[np.ndarray, "M 3"]
-    # OBSERVED, COMPLETED or KNOWN, as `prism_jax.io.ply` has them.
-    label: UInt8[np.ndarray, " M"]
     workspace: Workspace  # the cube that was completed
-    timestamp: int  # the measurement's, in nanoseconds
     seconds: dict[str, float]  # spent on "observe", "network" and "assemble"
-    frame_id: str = ""  # of the points, as the measured frame has it
-    # Of each measured point what else the frame has, as its intensity.
-    fields: Fields = dataclasses.field(default_factory=dict)
     known: dict[str, Any] | None = None  # as `StreamReport` has it
 
     @property
     def observed(self) -> Bool[np.ndarray, " M"]:
         """True for a measured point."""
         return self.label == OBSERVED
-
-    def numbered(self, number: int) -> Labelled:
-        """The frame of that number, as sinks take it."""
-        about = self.frame_id, self.fields
-        return Labelled(number, self.timestamp, self.points, self.label, *about)
 
 
 @dataclasses.dataclass(kw_only=True, eq=False)
@@ -99,6 +86,7 @@ class FrameCompleter(FrameObserver):
         placed, label = self._with_robot(points, label, robot)
         rows = rows[task.seen.inside]
         return CompletedFrame(
+            number=0,
             points=placed,
             label=label,
             workspace=task.seen.workspace,
