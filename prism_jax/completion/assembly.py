@@ -246,35 +246,40 @@ def with_model(
     nothing was measured, stands in place of what the network predicted."""
     if found.match is None:
         return dataclasses.replace(completed, known=found)
-    seen, measured = task.seen, completed.points[completed.observed]
-    dense, sigma = of_model(task, options, found)
-    added = seen.workspace.from_unit(dense).astype(measured.dtype)
-    sigma = np.concatenate([np.zeros(len(measured)), sigma])
+    measured = completed.points[completed.observed]
+    points, observed, sigma, dense = of_model(task, measured, options, found)
     error, told = float(sigma.mean()), found.match.evidence._asdict()
     return dataclasses.replace(
         completed,
-        points=np.concatenate([measured, added]),
-        observed=np.arange(len(sigma)) < len(measured),
+        points=points,
+        observed=observed,
         left_away=dict.fromkeys(completed.left_away, 0),
         verdict=Verdict("high", error, (), told),
         sigma=sigma,
         capped=False,
         known=found,
-        **_depth_maps(seen.cloud.points, dense, task.view, seen.workspace),
+        **_depth_maps(task.seen.cloud.points, dense, task.view, task.seen.workspace),
     )
 
 
 def of_model(
-    task: Task, options: CompletionOptions, found: "Found"
-) -> tuple[Float[np.ndarray, "A 3"], Float[np.ndarray, " A"]]:
-    """Of the surface of the model that was found what lies where nothing was measured,
-    in the unit workspace, and the sigma of each point, in the user's unit."""
+    task: Task,
+    measured: Float[np.ndarray, "N 3"],
+    options: CompletionOptions,
+    found: "Found",
+) -> tuple[np.ndarray, np.ndarray, np.ndarray, Float[np.ndarray, "A 3"]]:
+    """The measured points and, of the surface of the model that was found, what lies
+    where nothing was measured: the points, which are measured, the sigma of each, and
+    those of the model alone in the unit workspace."""
     seen = task.seen
     points, sigma = found.placed()
     surface = IndexedCloud(seen.workspace.to_unit(points))
     dense = densify(surface, options.density * seen.cloud.density / surface.density)
     dense = dense[seen.cloud.distance(dense) > NEW * task.read.cloud.spacing]
-    return dense, sigma[surface.tree.query(dense)[1]]
+    sigma = np.append(np.zeros(len(measured)), sigma[surface.tree.query(dense)[1]])
+    added = seen.workspace.from_unit(dense).astype(measured.dtype)
+    observed = np.arange(len(sigma)) < len(measured)
+    return np.concatenate([measured, added]), observed, sigma, dense
 
 
 class Joined(NamedTuple):

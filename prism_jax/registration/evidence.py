@@ -7,7 +7,8 @@ from jaxtyping import Float, Float64
 from scipy.spatial import KDTree
 
 from prism_jax.geometry.camera import MIN_DEPTH
-from prism_jax.geometry.visibility import SURFACE, UNKNOWN, look_up
+from prism_jax.geometry.visibility import BACKGROUND, SURFACE, UNKNOWN, look_up
+from prism_jax.preprocessing.visibility_map import in_free_space
 from prism_jax.registration.pose import Poses, slopes_of, solve_planes
 from prism_jax.registration.scan import Scan
 from prism_jax.registration.surface import Surface, foremost
@@ -145,10 +146,12 @@ def _looked_for(scan: Scan, surface: Surface, pose: np.ndarray) -> tuple[float, 
     image = np.clip(image, -1e3 * spacing, 1e3 * spacing)
     points = points[expected & foremost(image, away, spacing)]
     reach = max(TOLERANCE * surface.size, FITS * scan.noise)
-    state, behind = look_up(scan.visibility, points)
+    state, behind = map(np.asarray, look_up(scan.visibility, points))
     measured = (state == SURFACE) & (np.abs(behind) <= reach)
-    free = scan.visibility._replace(depth=scan.free)
-    denied = (np.asarray(look_up(free, points)[1]) < -reach) & ~measured
+    # What was measured of the object itself may lie behind such a front, too.
+    known = np.where(np.asarray(scan.visibility.state) == UNKNOWN, UNKNOWN, BACKGROUND)
+    beyond = scan.visibility._replace(state=known.astype(np.uint8))
+    denied = in_free_space(points, beyond, reach) & ~measured
     unknown = 0.5 * (state == UNKNOWN).sum()
     counted = max(measured.sum() + denied.sum() + unknown, 1)
     return float(measured.sum() / counted), float(denied.sum() / counted)

@@ -8,7 +8,7 @@ from jaxtyping import Float, Float64, Int
 from scipy.spatial import KDTree
 
 from prism_jax.geometry.cloud import IndexedCloud
-from prism_jax.geometry.visibility import Visibility, free_depth
+from prism_jax.geometry.visibility import Visibility
 from prism_jax.preprocessing.segmentation.clusters import thin
 from prism_jax.registration.surface import spread, widths_of
 
@@ -30,13 +30,6 @@ class Scan:
     points: Float[np.ndarray, "N 3"]
     eye: Float[np.ndarray, "3"]  # where it stood, perhaps a guess
     visibility: Visibility | None = None  # what it knows, if it is known where it stood
-
-    @functools.cached_property
-    def free(self) -> Float[np.ndarray, "H W"]:
-        """How far each pixel is free for sure."""
-        assert self.visibility is not None
-        own = Visibility(self.visibility.camera, *map(np.asarray, self.visibility[1:]))
-        return np.asarray(free_depth(own))
 
     @functools.cached_property
     def raw(self) -> Float64[np.ndarray, "M 3"]:

@@ -70,19 +70,16 @@ class FrameCompleter(FrameObserver):
         completion, seconds = self.completer.run(task, options)
         ran = time.perf_counter()
         joined = join(task, completion.points, options)
-        label = np.where(joined.observed, OBSERVED, COMPLETED).astype(np.uint8)
-        points, known = joined.points, None
+        points, measured, known = joined.points, joined.observed, None
         if self.completer.known is not None:
-            workspace = task.seen.workspace
-            given = workspace.from_unit(np.asarray(completion.points)), options
-            found = self.completer.recognise(task, *given, self.found)
+            predicted = task.seen.workspace.from_unit(np.asarray(completion.points))
+            found = self.completer.recognise(task, predicted, options, self.found)
             known = self.follow(found)
-            if found.model is not None:
-                added = workspace.from_unit(of_model(task, options, found)[0])
-                measured = points[joined.observed]
-                points = np.concatenate([measured, added.astype(points.dtype)])
-                label = np.full(len(points), KNOWN, np.uint8)
-                label[: len(measured)] = OBSERVED
+            if known is not None:
+                own = points[measured]
+                points, measured, *_ = of_model(task, own, options, found)
+        added = COMPLETED if known is None else KNOWN
+        label = np.where(measured, OBSERVED, added).astype(np.uint8)
         placed, label = self._with_robot(points, label, robot)
         rows = rows[task.seen.inside]
         return CompletedFrame(
