@@ -5,7 +5,7 @@ import time
 from typing import Any
 
 import numpy as np
-from jaxtyping import Bool, Float, UInt8
+from jaxtyping import Bool
 
 from prism_jax.completion.assembly import join, of_model
 from prism_jax.completion.completer import Completer
@@ -69,10 +69,11 @@ class FrameCompleter(FrameObserver):
         observed = time.perf_counter()
         completion, seconds = self.completer.run(task, options)
         ran = time.perf_counter()
+        workspace = task.seen.workspace
         joined = join(task, completion.points, options)
         points, measured, known = joined.points, joined.observed, None
         if self.completer.known is not None:
-            predicted = task.seen.workspace.from_unit(np.asarray(completion.points))
+            predicted = np.asarray(workspace.from_unit(np.asarray(completion.points)))
             found = self.completer.recognise(task, predicted, options, self.found)
             known = self.follow(found)
             if known is not None:
@@ -80,13 +81,18 @@ class FrameCompleter(FrameObserver):
                 points, measured, *_ = of_model(task, own, options, found)
         added = COMPLETED if known is None else KNOWN
         label = np.where(measured, OBSERVED, added).astype(np.uint8)
-        placed, label = self._with_robot(points, label, robot)
+        # The robot's surface comes behind them, and within its margin nothing is added.
+        if self.bounds is not None:
+            robot = robot[inside(robot, self.bounds.lower, self.bounds.upper)]
+        kept = measured | ~of_robot(points, robot, self.robot_margin)
+        points = np.concatenate([points[kept], robot.astype(points.dtype)])
+        label = np.append(label[kept], np.full(len(robot), KNOWN, np.uint8))
         rows = rows[task.seen.inside]
         return CompletedFrame(
             number=0,
-            points=placed,
+            points=points,
             label=label,
-            workspace=task.seen.workspace,
+            workspace=workspace,
             timestamp=frame.timestamp,
             seconds={
                 "observe": observed - start,
@@ -104,20 +110,3 @@ class FrameCompleter(FrameObserver):
         num_points = self.completer.config.model.backbone.num_points
         compile_sampling(num_points, len(frame.points))
         return super().warm_up(frame)
-
-    def _with_robot(
-        self,
-        points: Float[np.ndarray, "P 3"],
-        label: UInt8[np.ndarray, " P"],
-        robot: Float[np.ndarray, "R 3"],
-    ) -> tuple[Float[np.ndarray, "M 3"], UInt8[np.ndarray, " M"]]:
-        """Points and their labels, the robot's surface inside the bounds behind them
-        and no prediction within its margin."""
-        if len(robot) == 0:
-            return points, label
-        if self.bounds is not None:
-            robot = robot[inside(robot, self.bounds.lower, self.bounds.upper)]
-        kept = (label == OBSERVED) | ~of_robot(points, robot, self.robot_margin)
-        known = np.full(len(robot), KNOWN, np.uint8)
-        placed = np.concatenate([points[kept], robot.astype(points.dtype)])
-        return placed, np.concatenate([label[kept], known])
