@@ -21,7 +21,7 @@ import numpy as np
 from absl import flags
 from jaxtyping import Float
 
-from prism_jax import __version__, io
+from prism_jax import io
 from prism_jax.cli import shared_flags
 from prism_jax.cli.envelope_output import LINES, Output
 from prism_jax.cli.launch import launch, load_completer, load_library, say, timed
@@ -61,6 +61,7 @@ from prism_jax.io.streams import Joints, Stream, is_stream, open_stream
 from prism_jax.io.streams.frame import Frame
 from prism_jax.preprocessing.segmentation.support import find_up
 from prism_jax.preprocessing.upright import parse_up
+from prism_jax.reporting.summary import software
 from prism_jax.robots.urdf import Linkage
 from prism_jax.streaming import enveloper
 from prism_jax.streaming.observer import default_up
@@ -277,7 +278,7 @@ def envelope_of(source: str) -> dict[str, Any]:
     margin = calibration.margin(alpha)
     about = {
         "notice": NOTICE,
-        "prism_jax": __version__,
+        "prism_jax": software(),
         "weights": FLAGS.weights,
         "weights_sha256": runs.weights,
         "sensor": sensor,

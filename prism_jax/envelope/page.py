@@ -96,7 +96,7 @@ def _details(summary: Mapping[str, Any]) -> list[tuple[str, str]]:
         ("Grid", f"{grid['shape']} voxels of {number(grid['voxel'])} m from ({lower})"),
         ("Points", ", ".join(f"{n:,} {k}" for k, n in summary["points"].items())),
         ("Seconds", ", ".join(f"{k} {v:.2f}" for k, v in summary["seconds"].items())),
-        ("Software", f"prism_jax {summary['prism_jax']}"),
+        ("Software", f"prism_jax {summary['prism_jax'] or '(not installed)'}"),
     ]
     if summary["not_completed"]:
         rows.insert(1, ("Not completed", summary["not_completed"]))

@@ -1,5 +1,6 @@
 """What result.json says of a completion."""
 
+import importlib.metadata
 import math
 from collections.abc import Mapping
 from typing import Any
@@ -7,7 +8,7 @@ from typing import Any
 import numpy as np
 from jaxtyping import Float
 
-from prism_jax import __version__, io
+from prism_jax import io
 from prism_jax.evaluation import metrics, scoring
 from prism_jax.geometry.workspace import Workspace
 from prism_jax.losses.weighting import BRANCHES
@@ -57,7 +58,7 @@ def summarize_scene(
 def _about(scan: io.Scan, source: str) -> dict[str, Any]:
     """What a result says of the software and its input."""
     return {
-        "prism_jax": __version__,
+        "prism_jax": software(),
         "unit": scan.unit,
         "input": {
             "file": source,
@@ -142,3 +143,11 @@ def plain(value: Any) -> Any:
     if isinstance(value, float) and not math.isfinite(value):
         return None
     return value
+
+
+def software() -> str | None:
+    """The installed version of prism_jax; None where it is not installed."""
+    try:
+        return importlib.metadata.version("prism_jax")
+    except importlib.metadata.PackageNotFoundError:
+        return None
