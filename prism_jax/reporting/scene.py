@@ -36,10 +36,8 @@ def render_scene_report(scene: CompletedScene, summary: Mapping[str, Any]) -> st
     entries = summary["objects"]
     clouds = _clouds(scene, entries)
     bounds = _bounds(scene)
-    if scene.objects:
-        camera = scene.objects[0].camera
-    else:
-        camera = Camera.look_at((1.0, 0.0, 0.0), (0.0, 0.0, 0.0))
+    along_x = Camera.look_at((1.0, 0.0, 0.0), (0.0, 0.0, 0.0))
+    camera = scene.objects[0].camera if scene.objects else along_x
     up = np.asarray(scene.up, np.float64)
     toward = viewing_direction(camera, up, turn_degrees=20.0, rise_degrees=35.0)
     figure: Any = figures.clouds_figure([figures.Panel("", clouds)], toward, up, bounds)
