@@ -13,6 +13,7 @@ import functools
 import inspect
 import json
 import pathlib
+import sys
 from collections.abc import Sequence
 from typing import Any
 
@@ -22,14 +23,7 @@ from absl import flags
 from prism_jax import io
 from prism_jax.assets import asset
 from prism_jax.cli import shared_flags
-from prism_jax.cli.launch import (
-    SomeFailed,
-    launch,
-    load_completer,
-    load_library,
-    say,
-    timed,
-)
+from prism_jax.cli.launch import launch, load_completer, load_library, say, timed
 from prism_jax.completion.filtering import MAX_DENSE
 from prism_jax.io.atomic import check_targets, claim
 from prism_jax.io.clouds import READERS, rounding
@@ -150,8 +144,7 @@ def complete_file(
         with _timed(f"preparing the models of {known}", "models", seconds):
             library = load_library(known, known_unit)
     with _timed(f"loading the weights {weights}", "load", seconds):
-        completer = load_completer(weights, quick)
-        completer = completer if library is None else completer.knowing(library)
+        completer = load_completer(weights, quick).knowing(library)
     # Take it apart into objects, unless it is one.
     if direction is None:
         direction = "-y" if scan.in_camera_frame else "z"
@@ -335,13 +328,10 @@ def _warn_of_low_trust(what: str, completed: Any) -> None:
         _say(f"low confidence in {what}: {why}")
 
 
-def complete_files(
-    inputs: Sequence[str], *, output_dir: str, **settings: Any
-) -> dict[str, dict[str, Any]]:
+def complete_files(inputs: Sequence[str], *, output_dir: str, **settings: Any) -> None:
     """Completes several scans, files and folders of them, each into a folder of its
-    own, with an index page. Returns the results by the folders' names. What cannot be
-    used is told when everything else is done, by SomeFailed, or an InputError if
-    nothing could be used."""
+    own, with an index page. What cannot be used is told when everything else is done,
+    and the status is 1 then; InputError if nothing could be used."""
     if settings.get("ground_truth") is not None:
         fault = "cannot be used with several scans"
         raise io.InputError("--ground_truth", fault, "score the scans one by one")
@@ -366,8 +356,8 @@ def complete_files(
     folders = f"{len(done)} folder{'s' if len(done) != 1 else ''}"
     print(f"written     {output_dir}: index.html and {folders}")
     if faults:
-        raise SomeFailed(failed)
-    return done
+        _say(f"\n{NAME}: ".join(failed))
+        sys.exit(1)
 
 
 def _jobs(inputs: Sequence[str]) -> dict[str, pathlib.Path]:

@@ -27,14 +27,10 @@ FLAGS = flags.FLAGS
 PATIENCE = 2.0  # seconds after which a step says what it is doing
 
 
-class SomeFailed(Exception):
-    """Several inputs were asked for, and some could not be used; the lines say why."""
-
-
 def launch(name: str, main: Callable[..., None], takes_words: bool = False) -> None:
     """Runs `main` under absl. An `InputError` or a fault in the flags ends in one line
-    on stderr and status 2, `SomeFailed` in a line for each and status 1, Ctrl-C in one
-    line and status 130. `main` gets the words that are no flags if it takes them."""
+    on stderr and status 2, Ctrl-C in one line and status 130. `main` gets the words
+    that are no flags if it takes them."""
 
     def with_words(argv: Sequence[str]) -> None:
         for flag in FLAGS:
@@ -78,8 +74,6 @@ def launch(name: str, main: Callable[..., None], takes_words: bool = False) -> N
             app.run(with_words, flags_parser=FLAGS)
     except InputError as error:
         _end(name, str(error))
-    except SomeFailed as error:
-        _end(name, f"\n{name}: ".join(error.args[0]), status=1)
     except flags.Error as error:
         _end(name, f"{' '.join(str(error).split())}; --help lists the flags")
     except OSError as error:

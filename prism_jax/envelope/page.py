@@ -6,7 +6,7 @@ from typing import Any
 import numpy as np
 from jaxtyping import Float
 
-from prism_jax.envelope.distance import KINDS, Envelope
+from prism_jax.envelope.distance import Envelope
 from prism_jax.envelope.voxels import STATES, UNSEEN
 from prism_jax.geometry.camera import Camera
 from prism_jax.io import ply
@@ -36,27 +36,23 @@ def envelope_page(
     ``summary`` is the content of envelope.json, so that the two never disagree.
     """
     css = {name: "rgb({}, {}, {})".format(*rgb) for name, rgb in COLORS.items()}
-    surfaces = [Cloud(k, envelope.surfaces.points[k], css[k]) for k in KINDS]
+    surfaces, voxels = envelope.surfaces.points, {}
     state, taken = envelope.state.ravel(), envelope.taken.ravel()
-    voxels = []
     for value, name in enumerate(STATES[: UNSEEN + 1]):
         shown = np.nonzero((state == value) & (taken | (value < UNSEEN)))[0]
-        voxels.append(Cloud(name, envelope.grid.middles(shown), css[name]))
-    panels = [
-        Panel("Surfaces", [cloud for cloud in surfaces if len(cloud.points)]),
-        Panel(
-            "Envelope: not free, and within q of a surface. White may be unseen",
-            [cloud for cloud in voxels if len(cloud.points)],
-        ),
-    ]
+        voxels[name] = envelope.grid.middles(shown)
+    about = "Envelope: not free, and within q of a surface. White may be unseen"
+    panels, names = [], set()
+    for title, clouds in (("Surfaces", surfaces), (about, voxels)):
+        there = {name: points for name, points in clouds.items() if len(points)}
+        own = [Cloud(n, p, css[n], {"cloud": n}) for n, p in there.items()]
+        panels.append(Panel(title, own))
+        names.update(there)
     toward = np.array([0.7, 0.5, 0.5])
     if camera is not None:
         toward = viewing_direction(camera, up)
     bounds = np.stack([envelope.grid.lower, envelope.grid.upper])
-    figure: Any = clouds_figure(panels, toward, up, bounds)
-    names = [cloud.name for panel in panels for cloud in panel.clouds]
-    for trace, name in zip(figure.data, names, strict=True):
-        trace.meta = {"cloud": name}
+    figure = clouds_figure(panels, toward, up, bounds)
     volumes, num_cells = summary["volumes"].items(), summary["calibration"]["n"]
     promise = (
         f"Surfaces are inflated by q = {number(summary['q'])} m, calibrated on "

@@ -48,6 +48,7 @@ class Cloud(NamedTuple):
     name: str  # what the legend calls them
     points: Float[np.ndarray, "N 3"]  # in the figure's frame
     color: str  # CSS
+    meta: Any = None  # what the page's script knows of it
     # Of a surface: the rows of three points each, which are its corners then.
     faces: Int[np.ndarray, "F 3"] | None = None
 
@@ -87,7 +88,7 @@ def clouds_figure(
     listed = set()
     for column, cloud in clouds:
         trace = _trace(cloud, shift, extent, cloud.name not in listed)
-        figure.add_trace(trace, 1, column)
+        figure.add_trace(trace, 1, column).data[-1].meta = cloud.meta
         listed.add(cloud.name)
     box = axis_box(bounds - shift, shift)
     camera = framing(box, toward_viewer, up, PAGE_ASPECT / len(titles))
@@ -122,15 +123,29 @@ def added(completed: Any) -> tuple[str, str]:
     return "completed", COMPLETED_COLOR
 
 
-def meshes(completed: Any) -> list[Cloud]:
-    """The mesh of the model that an object is, where it lies; none of another object
-    or of a very fine mesh, whose points must do."""
+def of_object(
+    completed: Any, count: int = MAX_SHOWN_POINTS, prefix: str = "", **about: Any
+) -> list[Cloud]:
+    """What was measured of an object, at most `count` points, what was added to it, and
+    the mesh of the model that it is, unless that is so fine that its points must do.
+    `about` goes to the page's script, and in it the `color` of each way to colour."""
+    name, color = added(completed)
+    colors, clouds = about.pop("color", {}), []
+    for cloud, which, own in (
+        ("observed", completed.observed, OBSERVED_COLOR),
+        (name, ~completed.observed, color),
+    ):
+        by = {"": own, **colors, **by_error(completed.sigma, which, count)}
+        points = subsample(completed.points[which], count)
+        meta = {"cloud": cloud, **about, "color": by}
+        clouds.append(Cloud(prefix + cloud, points, own, meta))
     found = completed.known
     if found is None or found.model is None or len(found.model.faces) > MAX_FACES:
-        return []
+        return clouds
     rotation, shift = found.match.pose[:3, :3], found.match.pose[:3, 3]
     corners = found.model.vertices @ rotation.T + shift
-    return [Cloud("known", corners, KNOWN_COLOR, found.model.faces)]
+    meta = {"cloud": name, **about, "color": dict.fromkeys(["", *colors], color)}
+    return [*clouds, Cloud("known", corners, KNOWN_COLOR, meta, found.model.faces)]
 
 
 def tell_errors(figure: go.Figure, sigma: Float[np.ndarray, " M"] | None) -> list[str]:

@@ -24,32 +24,22 @@ def render_report(
     frame. Large clouds are thinned for display alone."""
     measured, added = result.points[result.observed], result.points[~result.observed]
     up = result.workspace.up
-    name, color = figures.added(result)
-    seen = figures.Cloud("observed", measured, figures.OBSERVED_COLOR)
-    predicted = [figures.Cloud(name, added, color), *figures.meshes(result)]
+    whole = figures.of_object(result)
+    seen = whole[0]._replace(meta={**whole[0].meta, "cloud": ""})
     panels = [
         figures.Panel(f"Partial scan: {len(measured):,} points", [seen]),
-        figures.Panel(f"Completion: {len(result.points):,} points", [seen, *predicted]),
+        figures.Panel(f"Completion: {len(result.points):,} points", whole),
     ]
     if ground_truth is not None:
-        truth = figures.Cloud("ground truth", ground_truth, figures.GROUND_TRUTH_COLOR)
+        color = figures.GROUND_TRUTH_COLOR
+        meta = {"cloud": "", "color": {"": color, "error": color}}
+        truth = figures.Cloud("ground truth", ground_truth, color, meta)
         title = f"Ground truth: {len(ground_truth):,} points"
         panels.append(figures.Panel(title, [truth]))
     toward = viewing_direction(result.camera, up)
     bounds = shown_bounds(measured, added, result.workspace)
     clouds: Any = figures.clouds_figure(panels, toward, up, bounds)
     modes = figures.tell_errors(clouds, result.sigma)
-    seen_by = figures.by_error(result.sigma, result.observed)
-    predicted_by = figures.by_error(result.sigma, ~result.observed)
-    about = (
-        ("", figures.OBSERVED_COLOR, seen_by),
-        ("observed", figures.OBSERVED_COLOR, seen_by),
-        (name, color, predicted_by),
-        *[(name, color, {})] * (len(predicted) - 1),
-        ("", figures.GROUND_TRUTH_COLOR, {"error": figures.GROUND_TRUTH_COLOR}),
-    )
-    for trace, (cloud, own, by) in zip(clouds.data, about, strict=False):
-        trace.meta = {"cloud": cloud, "color": {"": own, **by}}
     depth = figures.depth_figure(
         ("Partial scan", "Completion"),
         [np.asarray(result.depth_observed), np.asarray(result.depth_completed)],
@@ -63,10 +53,7 @@ def render_report(
         summary=summary,
         verdict=verdict_of_scan(summary, float(np.ptp(measured, axis=0).max())),
         counts=counts(summary["points"]),
-        toggles=[
-            ("observed", figures.OBSERVED_COLOR),
-            (name, color),
-        ],
+        toggles=[(cloud.name, cloud.color) for cloud in whole[:2]],
         modes=modes,
         clouds=clouds_html(clouds),
         objects=None,

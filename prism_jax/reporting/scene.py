@@ -34,12 +34,10 @@ def render_scene_report(scene: CompletedScene, summary: Mapping[str, Any]) -> st
     the content of `result.json`, as for `render_report`. Large clouds are thinned for
     display alone, the more the more objects there are."""
     entries = summary["objects"]
-    clouds, meta = _clouds(scene, entries)
+    clouds = _clouds(scene, entries)
     bounds = _bounds(scene)
-    if scene.objects:
-        camera = scene.objects[0].camera
-    else:
-        camera = Camera.look_at((1.0, 0.0, 0.0), (0.0, 0.0, 0.0))
+    along_x = Camera.look_at((1.0, 0.0, 0.0), (0.0, 0.0, 0.0))
+    camera = scene.objects[0].camera if scene.objects else along_x
     up = np.asarray(scene.up, np.float64)
     toward = viewing_direction(camera, up, turn_degrees=20.0, rise_degrees=35.0)
     figure: Any = figures.clouds_figure([figures.Panel("", clouds)], toward, up, bounds)
@@ -47,13 +45,13 @@ def render_scene_report(scene: CompletedScene, summary: Mapping[str, Any]) -> st
         shown_bounds(one.points[one.observed], one.points[~one.observed], one.workspace)
         for one in scene.objects
     ]
-    for trace, about in zip(figure.data, meta, strict=True):
-        number = about["object"]
+    for trace in figure.data:
+        number = trace.meta["object"]
         around = bounds if number is None else boxes[number]
         shown = np.stack([trace.x, trace.y, trace.z], axis=1)
         size = figures.marker_size(shown, np.ptp(around, axis=0).max())
         sizes = [trace.marker.size, size] if "marker" in trace else [0, 0]
-        trace.meta = {**about, "size": sizes}
+        trace.meta = {**trace.meta, "size": sizes}
     added = map(figures.added, scene.objects)
     shift = figures.axis_shift(bounds)
     layouts = [_layout(box, shift, toward, up) for box in [bounds, *boxes]]
@@ -80,36 +78,22 @@ def render_scene_report(scene: CompletedScene, summary: Mapping[str, Any]) -> st
 
 def _clouds(
     scene: CompletedScene, entries: Sequence[Mapping[str, Any]]
-) -> tuple[list[figures.Cloud], list[dict[str, Any]]]:
-    """Two clouds for each object and those of none, and what the page's script knows
-    of each: what it is called, whose it is, and its colours."""
-    clouds, meta = [], []
-    names = {SUPPORT: "support", LEFT_OVER: "left over"}
-    for number, color in (
-        (SUPPORT, figures.SUPPORT_COLOR),
-        (LEFT_OVER, figures.LEFT_OVER_COLOR),
+) -> list[figures.Cloud]:
+    """Those that are of no object, and those of each."""
+    clouds = []
+    for number, name, color in (
+        (SUPPORT, "support", figures.SUPPORT_COLOR),
+        (LEFT_OVER, "left over", figures.LEFT_OVER_COLOR),
     ):
+        colors = dict.fromkeys(["", "trust", "error"], color)
+        meta = {"cloud": name, "object": None, "color": colors}
         points = scene.points[scene.object == number]
-        clouds.append(figures.Cloud(names[number], points, color))
-        colors = {"": color, "trust": color, "error": color}
-        meta.append({"cloud": names[number], "object": None, "color": colors})
+        clouds.append(figures.Cloud(name, points, color, meta))
     for number, (one, entry) in enumerate(zip(scene.objects, entries, strict=True)):
-        trust = TRUST_COLORS[trust_of(entry)]
-        added, added_color = figures.added(one)
-        for name, which, color in (
-            ("observed", one.observed, figures.OBSERVED_COLOR),
-            (added, ~one.observed, added_color),
-        ):
-            points = figures.subsample(one.points[which], _share(scene))
-            clouds.append(figures.Cloud(f"object {number}, {name}", points, color))
-            by = figures.by_error(one.sigma, which, _share(scene))
-            colors = {"": color, "trust": trust, **by}
-            meta.append({"cloud": name, "object": number, "color": colors})
-        for mesh in figures.meshes(one):
-            clouds.append(mesh)
-            colors = {"": added_color, "trust": added_color}
-            meta.append({"cloud": added, "object": number, "color": colors})
-    return clouds, meta
+        shown = one, _share(scene), f"object {number}, "
+        trust = {"trust": TRUST_COLORS[trust_of(entry)]}
+        clouds += figures.of_object(*shown, object=number, color=trust)
+    return clouds
 
 
 def _share(scene: CompletedScene) -> int:

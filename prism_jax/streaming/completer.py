@@ -5,7 +5,7 @@ import time
 from typing import Any
 
 import numpy as np
-from jaxtyping import Bool, Float, UInt8
+from jaxtyping import Bool
 
 from prism_jax.completion.assembly import join, of_model
 from prism_jax.completion.completer import Completer
@@ -13,7 +13,6 @@ from prism_jax.completion.options import CompletionOptions
 from prism_jax.envelope.robot import of_robot
 from prism_jax.geometry.visibility import Background
 from prism_jax.geometry.workspace import Workspace
-from prism_jax.io.arrays import Fields
 from prism_jax.io.clouds import check_cloud, inside
 from prism_jax.io.ply import COMPLETED, KNOWN, OBSERVED
 from prism_jax.io.streams.frame import Frame
@@ -22,32 +21,20 @@ from prism_jax.preprocessing.observation import compile_sampling
 from prism_jax.streaming.observer import FrameObserver
 
 
-@dataclasses.dataclass(frozen=True)
-class CompletedFrame:
-    """A completed frame, in the frame and unit of its measured points."""
+@dataclasses.dataclass(frozen=True, kw_only=True)
+class CompletedFrame(Labelled):
+    """A completed frame, in the frame and unit of its measured points: those inside the
+    workspace, exactly as they were, then the predicted ones where nothing was measured,
+    and points on a known robot's surface. `run_stream` gives it its number."""
 
-    # The measured points inside the workspace, exactly as they were, then the predicted
-    # ones where nothing was measured, and points on a known robot's surface.
-    points: Float[np.ndarray, "M 3"]
-    # OBSERVED, COMPLETED or KNOWN, as `prism_jax.io.ply` has them.
-    label: UInt8[np.ndarray, " M"]
     workspace: Workspace  # the cube that was completed
-    timestamp: int  # the measurement's, in nanoseconds
     seconds: dict[str, float]  # spent on "observe", "network" and "assemble"
-    frame_id: str = ""  # of the points, as the measured frame has it
-    # Of each measured point what else the frame has, as its intensity.
-    fields: Fields = dataclasses.field(default_factory=dict)
     known: dict[str, Any] | None = None  # as `StreamReport` has it
 
     @property
     def observed(self) -> Bool[np.ndarray, " M"]:
         """True for a measured point."""
         return self.label == OBSERVED
-
-    def numbered(self, number: int) -> Labelled:
-        """The frame of that number, as sinks take it."""
-        about = self.frame_id, self.fields
-        return Labelled(number, self.timestamp, self.points, self.label, *about)
 
 
 @dataclasses.dataclass(kw_only=True, eq=False)
@@ -82,10 +69,11 @@ class FrameCompleter(FrameObserver):
         observed = time.perf_counter()
         completion, seconds = self.completer.run(task, options)
         ran = time.perf_counter()
+        workspace = task.seen.workspace
         joined = join(task, completion.points, options)
         points, measured, known = joined.points, joined.observed, None
         if self.completer.known is not None:
-            predicted = np.asarray(task.seen.workspace.from_unit(completion.points))
+            predicted = np.asarray(workspace.from_unit(np.asarray(completion.points)))
             found = self.completer.recognise(task, predicted, options, self.found)
             known = self.follow(found)
             if known is not None:
@@ -93,12 +81,18 @@ class FrameCompleter(FrameObserver):
                 points, measured, *_ = of_model(task, own, options, found)
         added = COMPLETED if known is None else KNOWN
         label = np.where(measured, OBSERVED, added).astype(np.uint8)
-        placed, label = self._with_robot(points, label, robot)
+        # The robot's surface comes behind them, and within its margin nothing is added.
+        if self.bounds is not None:
+            robot = robot[inside(robot, self.bounds.lower, self.bounds.upper)]
+        kept = measured | ~of_robot(points, robot, self.robot_margin)
+        points = np.concatenate([points[kept], robot.astype(points.dtype)])
+        label = np.append(label[kept], np.full(len(robot), KNOWN, np.uint8))
         rows = rows[task.seen.inside]
         return CompletedFrame(
-            points=placed,
+            number=0,
+            points=points,
             label=label,
-            workspace=task.seen.workspace,
+            workspace=workspace,
             timestamp=frame.timestamp,
             seconds={
                 "observe": observed - start,
@@ -116,20 +110,3 @@ class FrameCompleter(FrameObserver):
         num_points = self.completer.config.model.backbone.num_points
         compile_sampling(num_points, len(frame.points))
         return super().warm_up(frame)
-
-    def _with_robot(
-        self,
-        points: Float[np.ndarray, "P 3"],
-        label: UInt8[np.ndarray, " P"],
-        robot: Float[np.ndarray, "R 3"],
-    ) -> tuple[Float[np.ndarray, "M 3"], UInt8[np.ndarray, " M"]]:
-        """Points and their labels, the robot's surface inside the bounds behind them
-        and no prediction within its margin."""
-        if len(robot) == 0:
-            return points, label
-        if self.bounds is not None:
-            robot = robot[inside(robot, self.bounds.lower, self.bounds.upper)]
-        kept = (label == OBSERVED) | ~of_robot(points, robot, self.robot_margin)
-        known = np.full(len(robot), KNOWN, np.uint8)
-        placed = np.concatenate([points[kept], robot.astype(points.dtype)])
-        return placed, np.concatenate([label[kept], known])

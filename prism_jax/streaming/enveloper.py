@@ -78,10 +78,6 @@ class MadeEnvelope:
     number: int | None = None
     timestamp: int = 0
 
-    def numbered(self, number: int) -> "MadeEnvelope":
-        """The frame of that number, as sinks take it."""
-        return dataclasses.replace(self, number=number)
-
 
 def unplaced(subject: str) -> InputError:
     """What is wrong with a cloud without the place of its sensor."""

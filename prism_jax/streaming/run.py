@@ -70,8 +70,8 @@ def run_stream(
 ) -> StreamReport:
     """Completes a stream's frames and hands each to the sinks, in order.
 
-    What the `completer` makes of a frame has `seconds` by stage, and gives by
-    `numbered` what the sinks take. At pace "sensor" each frame is given at its time,
+    What the `completer` makes of a frame has `seconds` by stage, and the sinks take it
+    with its `number`. At pace "sensor" each frame is given at its time,
     counted from the first, and one that is not taken up before the next is dropped. The
     first usable frame is completed twice, so that compiling makes none late. Frames
     that cannot be completed are remarked and left out. The `report` is filled as frames
@@ -99,7 +99,8 @@ def run_stream(
                 times = {"read": read, **done.seconds}
                 while len(waiting) >= WRITE_BEHIND or (waiting and waiting[0].done()):
                     waiting.popleft().result()
-                written = done.numbered(number), sinks, report, times, given
+                done = dataclasses.replace(done, number=number)
+                written = done, sinks, report, times, given
                 waiting.append(writer.submit(_write, *written))
         while waiting:
             waiting.popleft().result()

@@ -64,7 +64,7 @@ def test_up_of_a_cloud_in_an_optical_frame_is_that_of_its_camera(completer):
         frame = Frame(shell(0), 0, camera, frame_id=name)
         assert FrameCompleter(completer).observe(frame).up == up
     done = FrameCompleter(completer).complete(frame)
-    assert done.numbered(3).frame_id == "cam_optical_frame"
+    assert done.frame_id == "cam_optical_frame"
 
 
 def test_poses_are_a_streams_own(completer, monkeypatch):
@@ -92,7 +92,7 @@ def test_what_bounds_crop_away_is_around_a_frame_as_around_a_scan(
     np.testing.assert_array_equal(scan.around, points[: len(wall)])
     whole = completer.complete(scan.points, density=0.0, around=scan.around)
     done = FrameCompleter(completer, bounds=box).complete(counted(points))
-    rows = done.numbered(0).fields["row"]
+    rows = done.fields["row"]
     np.testing.assert_array_equal(done.points[done.observed], points[rows])
     np.testing.assert_array_equal(done.points, whole.points)
     alone = completer.complete(scan.points, density=0.0)

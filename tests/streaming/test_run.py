@@ -67,8 +67,8 @@ class Instant(FrameCompleter):
         time.sleep(self.seconds)
         label = np.zeros(len(frame.points), np.uint8)
         stages = dict.fromkeys(("observe", "network", "assemble"), self.seconds / 3)
-        cube = Workspace(np.zeros(3), 1.0)
-        return CompletedFrame(frame.points, label, cube, frame.timestamp, stages)
+        about = {"workspace": Workspace(np.zeros(3), 1.0), "seconds": stages}
+        return CompletedFrame(0, frame.timestamp, frame.points, label, **about)
 
 
 def frames(count, period=TENTH):

@@ -1,9 +1,10 @@
 """Where completed frames go: a folder of PLY files, or an MCAP file of ROS 2."""
 
+import dataclasses
 import io
 import os
 import pathlib
-from typing import Any, NamedTuple, Protocol, runtime_checkable
+from typing import Any, Protocol, runtime_checkable
 
 import numpy as np
 from jaxtyping import Float, UInt8
@@ -18,15 +19,17 @@ TOPIC = "/completed"  # of the clouds in an MCAP file
 _STAMP, _HEADER = "builtin_interfaces/msg/Time", "std_msgs/msg/Header"
 
 
-class Labelled(NamedTuple):
+@dataclasses.dataclass(frozen=True)
+class Labelled:
     """A completed frame as it is written, with the labels of PLY files."""
 
-    number: int
-    timestamp: int
-    points: Float[np.ndarray, "M 3"]
+    number: int  # in the recording
+    timestamp: int  # the measurement's, in nanoseconds
+    points: Float[np.ndarray, "M 3"]  # the measured ones come first
     label: UInt8[np.ndarray, " M"]
     frame_id: str = ""  # of the points; "" where nothing tells it
-    fields: Fields | None = None  # of the measured points, which come first
+    # Of each measured point what else the frame has, as its intensity.
+    fields: Fields | None = None
 
 
 @runtime_checkable
