@@ -12,7 +12,6 @@ import tempfile
 import weakref
 from collections import Counter
 from collections.abc import Collection, Iterator
-from typing import BinaryIO
 
 from prism_jax.io.errors import InputError, StrPath, require, unreadable, unwritable
 
@@ -61,7 +60,7 @@ class MessageFile(abc.ABC):
                 yield topic, time, bytes(data)
 
     @contextlib.contextmanager
-    def opened(self, magic: bytes, kind: str) -> Iterator[BinaryIO]:
+    def opened(self, magic: bytes, kind: str) -> Iterator[io.BufferedIOBase]:
         """The file, after its first bytes; InputError if these are not the `magic`. Its
         `size` is that of this moment."""
         with contextlib.ExitStack() as stack:
