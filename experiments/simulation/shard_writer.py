@@ -13,7 +13,7 @@ import numpy as np
 from jaxtyping import Float, Float32, UInt16
 
 from experiments.simulation.building import build
-from prism_jax.data import maps as stored
+from prism_jax.data import shards as stored
 from prism_jax.data.shards import ARRAYS, FORMAT_VERSION, MAPS, NAMES, shard_file
 from prism_jax.data.source import Example
 from prism_jax.geometry.visibility import UNKNOWN, Visibility, nothing_known
@@ -150,8 +150,8 @@ def encode(visibility: Visibility) -> tuple[stored.Pixels, stored.View]:
     # What the reader has, so that the steps are the same.
     near, far = np.float32(near), np.float32(far)
     ratio = np.log(max(far / near, 1 + 1e-6))
-    steps = np.log(np.where(known, depth, near) / near) / ratio * stored.STEPS
-    steps = np.clip(np.rint(steps), 0, stored.STEPS).astype(np.uint16)
+    steps = np.log(np.where(known, depth, near) / near) / ratio * stored.DEPTH_STEPS
+    steps = np.clip(np.rint(steps), 0, stored.DEPTH_STEPS).astype(np.uint16)
     focal_x, focal_y = camera.intrinsics[0, 0], camera.intrinsics[1, 1]
     middle = camera.intrinsics[:2, 2]
     pose = camera.rotation.ravel(), camera.translation

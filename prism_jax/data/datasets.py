@@ -7,7 +7,6 @@ from collections.abc import Callable, Mapping
 from functools import partial
 from typing import Any
 
-from prism_jax.data.manifest import read_manifest
 from prism_jax.data.recordings import RecordedCells
 from prism_jax.data.scenes import Scenes
 from prism_jax.data.shapenet import ShapeNet
@@ -25,7 +24,7 @@ CELLS_VERSION, SCENES_VERSION = 1, 1
 class DataSet:
     """What is known of a data set before it is opened."""
 
-    # Its `Source`, by root and split, and by options where a set has some.
+    # Its `Source`, by folder and split, and by options where a set has some.
     open: Callable[..., Source]
     # Those that there are; empty where `open` checks them itself.
     splits: tuple[str, ...] = ()
@@ -41,26 +40,21 @@ class DataSet:
     licence: str = "as its publisher licenses it"
 
 
-def _open_built(
-    kind: type, name: str, version: int, root: pathlib.Path, split: str
-) -> Source:
-    """A split that was built on the machine, by the version of what draws it."""
-    folder = folder_of(name, split, root)
-    command = f"python -m experiments.make_data --dataset={name} --split={split}"
-    remedy = f"build it in a clone of the repository: {command} --output_dir={root}"
-    if issubclass(kind, Shards):
-        return kind(folder, remedy, generator_version=version)
-    read_manifest(folder, remedy, generator_version=version)
-    return RecordedCells(folder)
-
-
 def _built(
-    name: str, version: int, splits: str, licence: str, kind: type = Shards
+    name: str, version: int, splits: str, licence: str, kind: Callable = Shards
 ) -> DataSet:
-    """What is known of a set that `experiments.make_data` builds."""
+    """What is known of a set that `experiments.make_data` builds, by the version of
+    what draws it."""
+    command = f"python -m experiments.make_data --dataset={name}"
+
+    def opened(folder: pathlib.Path, split: str) -> Source:
+        how = f"{command} --split={split} --output_dir={folder.parent}"
+        remedy = f"build it in a clone of the repository: {how}"
+        return kind(folder, remedy, generator_version=version)
+
     names = tuple(splits.split())
     return DataSet(
-        partial(_open_built, kind, name, version),
+        opened,
         splits=names,
         validation="validation" if len(names) > 1 else None,
         folder=f"{name}-{{split}}",
@@ -87,13 +81,13 @@ DATASETS: Mapping[str, DataSet] = {
     "cells": _built("cells", CELLS_VERSION, "train validation", _MORE_ARMS),
     "scenes": _built("scenes", SCENES_VERSION, _ALL, _SCENES, Scenes),
     "packed": DataSet(
-        lambda root, split: Shards(root / split),
+        lambda folder, split: Shards(folder),
         validation="validation",
         folder="{split}",
         licence="as those are licensed that were packed",
     ),
     "recordings": DataSet(
-        lambda root, split: RecordedCells(root),
+        lambda folder, split: RecordedCells(folder),
         splits=("all",),
         training="all",
         folder="",
@@ -116,33 +110,26 @@ def open_dataset(
     `difficulty`. Anything that is not there, or not as it should be, raises InputError.
     """
     known = DATASETS[choose("data set", name, DATASETS)]
-    root = _root(name, data_dir)
-    if known.splits:
-        choose("split", split, known.splits)
+    folder = folder_of(name, split, data_dir)
     taken = tuple(inspect.signature(known.open).parameters)[2:]
     for option in options:
         if option not in taken:
             fault = f"not an option of {name}"
             raise InputError(option, fault, f"its options: {' '.join(taken) or 'none'}")
-    return known.open(root, split, **options)
+    return known.open(folder, split, **options)
 
 
 def folder_of(name: str, split: str, data_dir: StrPath | None = None) -> pathlib.Path:
-    """Where a split lies, of a set whose splits are folders with manifests."""
+    """Where a split lies: in the root, if it has no folder of its own there."""
     known = DATASETS[name]
     if known.splits:
         choose("split", split, known.splits)
-    return _root(name, data_dir) / str(known.folder).format(split=split)
+    if data_dir is None and not known.generated:
+        raise InputError(name, "not generated", "set --data_dir to its folder")
+    root = default_cache_dir() if data_dir is None else pathlib.Path(data_dir)
+    return root / (known.folder or "").format(split=split)
 
 
 def mesh_licences(name: str) -> str:
     """Whose meshes a set's training split is made of, and how they are licensed."""
     return DATASETS[name].licence if name in DATASETS else DataSet.licence
-
-
-def _root(name: str, data_dir: StrPath | None) -> pathlib.Path:
-    if data_dir is not None:
-        return pathlib.Path(data_dir)
-    if not DATASETS[name].generated:
-        raise InputError(name, "not generated", "set --data_dir to its folder")
-    return default_cache_dir()

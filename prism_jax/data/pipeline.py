@@ -1,6 +1,5 @@
 """Examples of any source as batches of arrays, shuffled and resumable, by Grain."""
 
-import dataclasses
 import hashlib
 from collections.abc import Callable, Iterator, Sequence
 from typing import NamedTuple
@@ -40,8 +39,7 @@ class Batch(NamedTuple):
     visibility: Visibility | None = None  # what each sensor knows, if the source says
 
 
-@dataclasses.dataclass(frozen=True)
-class Framing:
+class Framing(NamedTuple):
     """How examples become arrays of one size: points of the partial and of the
     complete cloud, the workspace's margin around the partial, and its heading."""
 

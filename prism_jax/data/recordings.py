@@ -71,17 +71,20 @@ class RecordedCells:
     """The frames below a folder as a `Source` of examples, in order of their names.
 
     File names are checked when this is made, contents when an example is read; faults
-    and a file that differs from the manifest raise InputError. A sequence counts as one
-    object. Its category is the robot if its name tells it, as 003-ur5 does. What the
-    sensor knows is told by the whole depth image, and by no labels.
+    and a file that differs from the manifest raise InputError, as does a manifest that
+    does not say what is `expected`. A sequence counts as one object. Its category is
+    the robot if its name tells it, as 003-ur5 does. What the sensor knows is told by
+    the whole depth image, and by no labels.
     """
 
-    def __init__(self, root: StrPath):
+    def __init__(
+        self, root: StrPath, remedy: str = "let the recording finish", **expected: Any
+    ):
         self.root = pathlib.Path(root)
-        self.frames = _find_frames(self.root)
-        if (self.root / MANIFEST).exists():
-            manifest = read_manifest(self.root, "let the recording finish")
+        if expected or (self.root / MANIFEST).exists():
+            manifest = read_manifest(self.root, remedy, **expected)
             check_files(self.root, manifest["files"], _COPY)
+        self.frames = _find_frames(self.root)
         sequences = [sequence for sequence, _ in self.frames]
         self.objects = np.unique(sequences, return_inverse=True)[1]
         self.categories = tuple(dict.fromkeys(map(_category, sequences)))

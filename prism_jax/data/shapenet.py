@@ -127,8 +127,4 @@ def _normalised(path: pathlib.Path) -> Float32[np.ndarray, "8192 3"]:
     """Centroid at the origin, farthest point at distance one."""
     points = sound_cloud(read_npy(path), path, NUM_POINTS).astype(np.float64)
     points -= points.mean(axis=0)
-    radius = np.linalg.norm(points, axis=1).max()
-    if radius == 0:
-        fault = "zero extent: all points coincide"
-        raise InputError(path, fault, "copy this file again from the data set")
-    return (points / radius).astype(np.float32)
+    return (points / np.linalg.norm(points, axis=1).max()).astype(np.float32)

@@ -10,10 +10,14 @@ is sampled again. A shard is a set of files, of V views of C complete clouds:
                 .views.npy    int32 (V, 2)      row of the complete cloud; object
                 .names.json   [category, name, any_heading] of each view
 
-and, where sensors' maps were kept (`data.maps`),
+and, where sensors' maps were kept,
 
                 .map.npy      uint16 (V, H, W)  state and depth of each pixel
-                .camera.npy   float32 (V, 18)   whose pixels these are
+                .camera.npy   float32 (V, 18)   whose pixels these are (`View`)
+
+Two bits of a pixel hold the state and fourteen the depth, in steps of equal ratio
+between the nearest and the farthest depth of the map: a depth is off by less than a
+part in 8,000 where the farthest is fifty times the nearest.
 
 Objects are counted from 0 in each shard, and none is in two.
 """
@@ -26,10 +30,19 @@ import numpy as np
 from jaxtyping import Float32, Int, Int32, UInt16
 
 from prism_jax.data.manifest import MANIFEST, check_files, read_manifest
-from prism_jax.data.maps import decode
 from prism_jax.data.source import Example
+from prism_jax.geometry.camera import Camera
+from prism_jax.geometry.visibility import UNKNOWN, Visibility
 from prism_jax.io.errors import InputError, StrPath
 from prism_jax.io.files import parsing
+
+DEPTH_BITS = 14
+DEPTH_STEPS = 2**DEPTH_BITS - 1
+
+Pixels = UInt16[np.ndarray, "H W"]
+View = Float32[np.ndarray, "18"]
+"""Rotation row by row, translation, two focal lengths, the principal point, nearest and
+farthest depth."""
 
 FORMAT_VERSION = 3
 """Raised with every change of the layout: folders of another one are refused."""
@@ -60,6 +73,19 @@ def restored(
 ) -> Float32[np.ndarray, "N 3"]:
     """Coordinates of what is stored as steps from the lowest corner of a box."""
     return np.asarray(steps.astype(np.float32) * box[3] + box[:3])
+
+
+def decode(pixels: Pixels, view: View) -> Visibility:
+    """A map of what a sensor knows, in float32."""
+    height, width = pixels.shape
+    intrinsics = np.eye(3, dtype=np.float32)
+    intrinsics[[0, 1], [0, 1]], intrinsics[:2, 2] = view[12:14], view[14:16]
+    camera = Camera(view[:9].reshape(3, 3), view[9:12], intrinsics, height, width)
+    near, far = view[16:]
+    state = (pixels >> DEPTH_BITS).astype(np.uint8)
+    ratio = np.log(max(far / near, 1 + 1e-6))
+    depth = near * np.exp((pixels & DEPTH_STEPS) * np.float32(ratio / DEPTH_STEPS))
+    return Visibility(camera, state, np.where(state == UNKNOWN, 0, depth))
 
 
 class Shards:

@@ -6,7 +6,9 @@ import numpy as np
 from jaxtyping import Float, Float32, Int
 
 from prism_jax.geometry.visibility import Visibility
-from prism_jax.io.errors import InputError, StrPath
+from prism_jax.io.clouds import check_cloud
+from prism_jax.io.errors import StrPath
+from prism_jax.io.files import parsing
 
 
 class Example(NamedTuple):
@@ -56,16 +58,11 @@ class Source(Protocol):
 def sound_cloud(
     points: Float[np.ndarray, "N 3"], subject: StrPath, num_points: int | None = None
 ) -> Float32[np.ndarray, "N 3"]:
-    """The points as float32; none, another count, or a NaN raises InputError."""
-    with np.errstate(over="ignore"):
+    """The points as float32; another count, or what `check_cloud` refuses, raises
+    InputError."""
+    with parsing(subject, "a sound cloud", "copy this file again from the data set"):
         cloud = np.ascontiguousarray(points, np.float32)
-    if len(points) == 0:
-        kind = f"shape {points.shape} and type {points.dtype}"
-        fault = f"array of {kind} is not a cloud"
-    elif num_points is not None and len(points) != num_points:
-        fault = f"{len(points)} points instead of {num_points}"
-    elif not np.isfinite(cloud).all():
-        fault = "some points are not finite"
-    else:
-        return cloud
-    raise InputError(subject, fault, "copy this file again from the data set")
+        if num_points not in (None, len(cloud)):
+            raise ValueError(f"{len(cloud)} points instead of {num_points}")
+        check_cloud(cloud, subject)
+    return cloud

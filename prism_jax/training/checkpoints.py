@@ -1,15 +1,16 @@
 """Training states on disk, by Orbax: the latest, to resume, and the best, to keep."""
 
-import contextlib
 import math
 import pathlib
-from collections.abc import Iterator
 from typing import Any
 
 import jax
 import orbax.checkpoint as ocp
 
-from prism_jax.io.errors import InputError
+from prism_jax.io.files import parsing
+
+_KIND = "a sound checkpoint"
+_REMEDY = "restore it from a backup, or delete the folder"
 
 
 class Checkpoints:
@@ -50,7 +51,8 @@ class Checkpoints:
         if step is None:
             return None
         abstract = jax.tree.map(ocp.utils.to_shape_dtype_struct, like)
-        with _undamaged(manager.directory):
+        # Orbax raises errors of many kinds.
+        with parsing(manager.directory, _KIND, _REMEDY, Exception):
             return manager.restore(step, args=ocp.args.StandardRestore(abstract))
 
     def close(self) -> None:
@@ -61,16 +63,5 @@ class Checkpoints:
 
 def _manager(folder: pathlib.Path, **options: Any) -> ocp.CheckpointManager:
     kept = ocp.CheckpointManagerOptions(max_to_keep=1, create=True, **options)
-    with _undamaged(folder):
+    with parsing(folder, _KIND, _REMEDY, Exception):
         return ocp.CheckpointManager(folder, options=kept)
-
-
-@contextlib.contextmanager
-def _undamaged(folder: Any) -> Iterator[None]:
-    """Turns the many kinds of errors that Orbax raises while it reads into one line."""
-    try:
-        yield
-    except Exception as error:
-        fault = f"a damaged checkpoint ({type(error).__name__})"
-        remedy = "restore it from a backup, or delete the folder"
-        raise InputError(folder, fault, remedy) from None

@@ -3,7 +3,7 @@
 from typing import TypeVar
 
 import jax
-from jax.sharding import AxisType, Mesh, NamedSharding, PartitionSpec
+from jax.sharding import Mesh, NamedSharding, PartitionSpec
 
 from prism_jax.io.errors import InputError
 
@@ -14,8 +14,7 @@ DATA = "data"  # the mesh's only axis, over which the examples of a batch lie
 
 def data_mesh() -> Mesh:
     """All devices in a row."""
-    kinds = (AxisType.Auto,)
-    return jax.make_mesh((jax.device_count(),), (DATA,), axis_types=kinds)
+    return Mesh(jax.devices(), (DATA,))
 
 
 def check_batch(batch_size: int) -> None:

@@ -10,13 +10,8 @@ import jax
 import numpy as np
 from jaxtyping import Array, Float, Int
 
-from prism_jax.data.pipeline import (
-    Batch,
-    Framing,
-    frame_example,
-    stack,
-    training_batches,
-)
+from prism_jax.data import pipeline
+from prism_jax.data.pipeline import Batch, Framing
 from prism_jax.data.source import Source
 from prism_jax.io.errors import InputError
 from prism_jax.models.variables import Variables
@@ -125,7 +120,7 @@ def train_phase(
     last = num_steps if max_steps is None else min(num_steps, max_steps)
     framing, seed = data.framing(phase.num_complete), order_seed(data.seed, phase.name)
     order = phase.batch_size, seed, data.num_workers, step
-    batches = training_batches(data.train, framing, *order)
+    batches = pipeline.training_batches(data.train, framing, *order)
     log = Log(folder, phase.name, phase.num_samples, step, phase.batch_size)
     recent, before = [], None
     saved = time.monotonic()
@@ -208,7 +203,8 @@ def validate(
         count, scores = len(source), []
         for start in range(0, count, size):
             rows = (np.arange(start, start + size) % count).tolist()
-            batch = stack([frame_example(source[row], framing) for row in rows])
+            framed = [pipeline.frame_example(source[row], framing) for row in rows]
+            batch = pipeline.stack(framed)
             scored = phase.validate_fn(variables, parallel.share(batch))
             scores.append(np.asarray(scored)[: count - start])
         means[name] = np.concatenate(scores).mean(0)

@@ -1,7 +1,5 @@
 """An example in the workspace of its partial."""
 
-import dataclasses
-
 import jax
 import numpy as np
 import pytest
@@ -121,7 +119,7 @@ def test_where_there_is_no_partial_one_is_cropped(example):
 def test_a_level_heading_is_found_whatever_the_pose(example):
     """In validation by the example's name; in training at random, tilts and quarter
     turns among them. The clouds stay together, and in the unit of the scores."""
-    level = dataclasses.replace(FRAMING, heading="level")
+    level = FRAMING._replace(heading="level")
     given = frame_example(example, FRAMING)
     posed = frame_example(example, level)
     np.testing.assert_array_equal(frame_example(example, level).partial, posed.partial)

@@ -5,7 +5,7 @@ import numpy as np
 import pytest
 
 from experiments.simulation.shard_writer import encode
-from prism_jax.data.maps import decode
+from prism_jax.data.shards import decode
 from prism_jax.geometry.camera import Camera
 from prism_jax.geometry.visibility import UNKNOWN, Visibility, nothing_known
 

@@ -1,9 +1,9 @@
 """ROS 1 bags of format 2.0: http://wiki.ros.org/Bags/Format/2.0."""
 
+import io
 import struct
 from collections import Counter
 from collections.abc import Iterator
-from typing import BinaryIO
 
 from prism_jax.io.streams.messages import CutError, MessageFile, Source, Unpacker
 
@@ -18,7 +18,7 @@ class BagFile(MessageFile):
     needed, so a bag that was never closed can be read. If there is one, it tells
     whether messages are missing."""
 
-    def _all(self, told: bool) -> Iterator[tuple[Source, int, memoryview]]:
+    def _all(self, told: bool) -> Iterator[tuple[Source, int, bytes]]:
         sources: dict[int, Source] = {}
         missing: Counter[int] = Counter()  # messages of each connection
         closed = True
@@ -45,71 +45,61 @@ class BagFile(MessageFile):
             lost = f"messages are missing: {(+missing).total():,}"
             raise CutError(lost if closed else "it was never closed")
 
-    def _records(self) -> Iterator[tuple[_Fields, memoryview]]:
+    def _records(self) -> Iterator[tuple[_Fields, bytes]]:
         """Every record, those in chunks like the others."""
         with self.opened(MAGIC, "a ROS 1 bag of format 2.0") as file:
             unpacker = Unpacker(self.file)
-            while file.tell() < self.size:
-                fields, length = _head(file, self.size)
-                whole = file.tell() + length <= self.size
-                data = memoryview(file.read(min(length, self.size)))
+            for fields, data, is_whole in _split(file, self.size):
                 if fields.get(b"op") == _CHUNK:
                     yield from _in_chunk(fields, data, unpacker)
-                elif whole:
+                elif is_whole:
                     yield fields, data
-                if not whole:
+                if not is_whole:
                     raise CutError("ends within a record")
 
 
-def _head(file: BinaryIO, size: int) -> tuple[_Fields, int]:
-    """A record's fields and the length of its data."""
-    length = _number(file.read(4))
-    if length > min(_HEADER_LIMIT, size):
-        raise CutError("damaged record")
-    header, length = file.read(length), _number(file.read(4))
-    return _fields(memoryview(header)), length
+def _split(file: io.BufferedIOBase, size: int) -> Iterator[tuple[_Fields, bytes, bool]]:
+    """Records one after the other: fields, data, and whether these are whole."""
+    while file.tell() < size:
+        length = _number(file)
+        if length > _HEADER_LIMIT:
+            raise CutError("damaged record")
+        header, length = file.read(length), _number(file)
+        is_whole = file.tell() + length <= size
+        yield _fields(header), file.read(min(length, size)), is_whole
 
 
-def _number(data: bytes) -> int:
+def _number(file: io.BufferedIOBase) -> int:
+    data = file.read(4)
     if len(data) < 4:
         raise CutError("ends within a record")
     return int.from_bytes(data, "little")
 
 
 def _in_chunk(
-    fields: _Fields, data: memoryview, unpacker: Unpacker
-) -> Iterator[tuple[_Fields, memoryview]]:
+    fields: _Fields, data: bytes, unpacker: Unpacker
+) -> Iterator[tuple[_Fields, bytes]]:
     """The whole records of a chunk, itself whole or not."""
     try:
         (size,) = struct.unpack("<I", fields[b"size"])
         records = unpacker.unpack(data, fields[b"compression"].decode(), size)
-        parts = _parts(memoryview(records))
-        for header in parts:
+        for own, content, is_whole in _split(io.BytesIO(records), len(records)):
             unpacker.count_record()
-            content = next(parts, None)
-            if header is None or content is None:
+            if not is_whole:
                 raise CutError("ends within a record")
-            yield _fields(header), content
+            yield own, content
     except (KeyError, struct.error, ValueError) as error:
         raise CutError(f"damaged chunk ({error})") from None
 
 
-def _parts(data: memoryview) -> Iterator[memoryview | None]:
-    """Bytes with their count before them, one after the other; None for bytes that the
-    data end within."""
-    start = 0
-    while start < len(data):
+def _fields(header: bytes) -> _Fields:
+    """A header's fields by name, each with its length before it."""
+    fields, start = {}, 0
+    while start < len(header):
         first = start + 4
-        start = first + int.from_bytes(data[start:first], "little")
-        yield data[first:start] if start <= len(data) else None
-
-
-def _fields(header: memoryview) -> _Fields:
-    """A header's fields by name."""
-    fields = {}
-    for entry in _parts(header):
-        name, equals, value = bytes(entry or b"").partition(b"=")
-        if not equals:
+        start = first + int.from_bytes(header[start:first], "little")
+        name, equals, value = header[first:start].partition(b"=")
+        if not equals or start > len(header):
             raise CutError("damaged record")
         fields[name] = value
     return fields

@@ -21,7 +21,6 @@ from prism_jax.io.files import parsing, read_bytes, read_json
 from prism_jax.io.streams.frame import Frame, Joints, Stream, Tell, chosen_topic
 
 _DEPTH, _PARTIAL, _CAMERA = ".depth.png", ".partial.ply", ".camera.json"
-_JOINTS = ".joints.json"
 _LEAVE = "record it again, or give --joints=FILE for all frames"
 TOPICS = {"depth": _DEPTH, "partial": _PARTIAL}
 """What a frame of the recordings' layout holds of its sensor, and in which file."""
@@ -103,7 +102,7 @@ class RecordedFrames(CloudFolder):
 
     def _read(self, path: pathlib.Path, time: int) -> Frame:
         name = path.name.removesuffix(TOPICS[str(self.topic)])
-        joints = path.with_name(name + _JOINTS)
+        joints = path.with_name(name + ".joints.json")
         frame = self._frame(path, path.with_name(name + _CAMERA), time)
         if self.joints is not None and joints.exists():
             frame = dataclasses.replace(frame, joints=read_json(joints, _LEAVE))

@@ -12,7 +12,6 @@ import tempfile
 import weakref
 from collections import Counter
 from collections.abc import Collection, Iterator
-from typing import BinaryIO
 
 from prism_jax.io.errors import InputError, StrPath, require, unreadable, unwritable
 
@@ -61,7 +60,7 @@ class MessageFile(abc.ABC):
                 yield topic, time, bytes(data)
 
     @contextlib.contextmanager
-    def opened(self, magic: bytes, kind: str) -> Iterator[BinaryIO]:
+    def opened(self, magic: bytes, kind: str) -> Iterator[io.BufferedIOBase]:
         """The file, after its first bytes; InputError if these are not the `magic`. Its
         `size` is that of this moment."""
         with contextlib.ExitStack() as stack:
@@ -95,7 +94,16 @@ class Unpacker:
         if size > min(self._bytes, _LARGEST):
             raise ValueError(f"{size:,} bytes from a file of this size")
         try:
-            unpacked = _unpacked(data, compression, size)
+            if compression == "zstd":
+                zstd = require("zstandard", EXTRA).ZstdDecompressor()
+                unpacked = zstd.stream_reader(io.BytesIO(data)).read(size)
+            elif compression == "lz4":
+                lz4 = require("lz4.frame", EXTRA).LZ4FrameDecompressor()
+                unpacked = lz4.decompress(bytes(data), max_length=size)
+            elif compression == "bz2":
+                unpacked = bz2.BZ2Decompressor().decompress(bytes(data), size)
+            else:
+                raise ValueError(f"compression {compression!r} is not supported")
         except InputError:
             raise
         except Exception as error:  # every package has its own
@@ -136,15 +144,3 @@ def unpacked_file(path: pathlib.Path, owner: object) -> pathlib.Path:
     except OSError as error:
         raise unwritable(target, error) from None
     return target
-
-
-def _unpacked(data: bytes | memoryview, compression: str, size: int) -> bytes:
-    if compression == "zstd":
-        unpacker = require("zstandard", EXTRA).ZstdDecompressor()
-        return unpacker.stream_reader(io.BytesIO(data)).read(size)
-    if compression == "lz4":
-        unpacker = require("lz4.frame", EXTRA).LZ4FrameDecompressor()
-        return unpacker.decompress(bytes(data), max_length=size)
-    if compression == "bz2":
-        return bz2.BZ2Decompressor().decompress(bytes(data), max_length=size)
-    raise ValueError(f"compression {compression!r} is not supported")

@@ -267,13 +267,7 @@ def _depth(content: Any) -> tuple[Num[np.ndarray, "H W"], float]:
         raise ValueError(f"image encoding {content.encoding} is not supported")
     kind, scale = DEPTH[content.encoding]
     kind = np.dtype((">" if content.is_bigendian else "<") + kind)
-    height, width, step = content.height, content.width, content.step
-    _check_size(height * width, step * height, len(content.data))
-    if step < width * kind.itemsize:
-        raise ValueError("rows are shorter than declared")
-    rows = np.asarray(content.data, np.uint8)[: step * height].reshape(height, step)
-    counts = np.ascontiguousarray(rows[:, : width * kind.itemsize]).view(kind)
-    return counts.astype(kind.newbyteorder("=")), scale
+    return _rows(content, content.step, kind).astype(kind.newbyteorder("=")), scale
 
 
 def _cloud(content: Any, time: int) -> Frame:
@@ -281,19 +275,16 @@ def _cloud(content: Any, time: int) -> Frame:
     names = [field.name for field in content.fields]
     if not {*"xyz"} <= {*names}:
         raise ValueError(f"points have {', '.join(names) or 'nothing'}, not x y z")
-    height, width, step = content.height, content.width, content.point_step
-    row = content.row_step or step * width  # which some leave at 0
-    _check_size(height * width, row * height, len(content.data))
     places = _places(content)
     floats = [axis for axis in "xyz" if axis in places and places[axis][0].kind == "f"]
-    if len(floats) < 3 or row < step * width:
+    if len(floats) < 3:
         raise ValueError("point layout differs from the header")
     names = [*floats, *(name for name in places if name not in floats)]
     kinds, offsets = zip(*(places[name] for name in names), strict=True)
     layout: Any = {"names": names, "formats": kinds, "offsets": offsets}
-    layout = np.dtype(layout | {"itemsize": step})
-    data = np.asarray(content.data, np.uint8)[: row * height].reshape(height, row)
-    rows = np.ascontiguousarray(data[:, : step * width]).view(layout).ravel()
+    layout = np.dtype(layout | {"itemsize": content.point_step})
+    row = content.row_step or layout.itemsize * content.width  # which some leave at 0
+    rows = _rows(content, row, layout).ravel()
     fields: Fields = {}
     points = stack_columns((rows[name] for name in names), kinds, names[3:], fields)
     kept, notes = measured(points, fields=fields)
@@ -314,7 +305,15 @@ def _places(content: Any) -> dict[str, tuple[np.dtype, int]]:
     return found
 
 
-def _check_size(count: int, claimed: int, held: int) -> None:
-    check_count(count, MAX_POINTS)
+def _rows(content: Any, row: int, kind: np.dtype) -> np.ndarray:
+    """What an Image or a PointCloud2 has in rows of so many bytes; ValueError if these
+    are not there."""
+    height, width = content.height, content.width * kind.itemsize
+    claimed, held = row * height, len(content.data)
+    check_count(height * content.width, MAX_POINTS)
     if held < claimed:
         raise ValueError(f"{claimed:,} bytes declared, {held:,} found")
+    if row < width:
+        raise ValueError("rows are shorter than declared")
+    rows = np.asarray(content.data, np.uint8)[:claimed].reshape(height, row)
+    return np.ascontiguousarray(rows[:, :width]).view(kind)
