@@ -9,7 +9,7 @@ from scipy.spatial import KDTree
 from prism_jax.geometry.camera import MIN_DEPTH
 from prism_jax.geometry.visibility import BACKGROUND, SURFACE, UNKNOWN, look_up
 from prism_jax.preprocessing.visibility_map import in_free_space
-from prism_jax.registration.pose import Poses, slopes_of, solve_planes
+from prism_jax.registration.pose import Poses, solve_planes
 from prism_jax.registration.scan import Scan
 from prism_jax.registration.surface import Surface, foremost
 
@@ -21,7 +21,8 @@ FLAT = 2.5  # in spacings of the surface: so far its points stand for their plan
 EVERY = 2  # one of its points in so many tells what is seen of it
 EXACT = 0.0015  # in longest sides: so far points and poses are exact
 GRAZING = 0.2  # cosine under which nothing is expected of a surface
-BESIDE = 0.04  # in longest sides: of surface that is nearer, something was measured
+BESIDE, APART = 0.04, 3.0
+"""In longest sides and in spacings of a scan: nearer to it a surface was measured."""
 TOLERANCE = 0.03  # in longest sides: so much nearer to the sensor is in front
 
 LEAST_FIT, LEAST_COVERED, LEAST_SEEN, MOST_DENIED = 0.9, 0.3, 0.25, 0.05
@@ -64,7 +65,8 @@ class Match(NamedTuple):
     ) -> tuple[Float64[np.ndarray, "M 3"], Float64[np.ndarray, " M"]]:
         """The surface's points where they lie in the scan, and the distance by which
         each is expected to miss what the sensor measures there."""
-        slopes = slopes_of(surface.points, surface.normals)
+        arms = np.cross(surface.points, surface.normals)
+        slopes = np.concatenate([arms, surface.normals], axis=1)
         variance = np.einsum("ni,ij,nj->n", slopes, self.covariance, slopes)
         points = (surface.points + surface.middle) @ self.pose[:3, :3].T
         sigma = np.sqrt(2 / np.pi * (variance + self.noise**2))
@@ -91,7 +93,8 @@ def match(scan: Scan, surface: Surface, tree: KDTree, poses: Poses) -> Match:
     fits = np.abs(gap) <= FITS * scan.noise
     badly = strain(np.abs(gap), scan.noise), _bias(scan, gap, fits, surface.size)
     placed = (surface.points[::EVERY] + surface.middle) @ back.T + pose[:3, 3]
-    covered = float((scan.tree.query(placed)[0] < BESIDE * surface.size).mean())
+    beside = max(BESIDE * surface.size, APART * scan.spacing)
+    covered = float((KDTree(scan.raw).query(placed)[0] < beside).mean())
     seen = _looked_for(scan, surface, pose, placed)
     told = Evidence(float(fits.mean()), covered, *seen, *badly)
     return Match(pose, covariance, scan.noise, told)

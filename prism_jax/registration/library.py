@@ -1,5 +1,6 @@
 """A folder of models, and which of them an object is."""
 
+import contextlib
 import dataclasses
 import functools
 import hashlib
@@ -23,7 +24,7 @@ from prism_jax.registration.scan import Scan
 from prism_jax.registration.surface import Surface, surface_of
 from prism_jax.robots.urdf import MESH_SUFFIXES, Linkage, read_mesh
 
-VERSION = 5  # of what is kept in the cache
+VERSION = 6  # of what is kept in the cache
 UNITS = {"m": 1.0, "cm": 0.01, "mm": 0.001, "in": 0.0254}
 ROBOTS, METRIC = (".urdf", ".xacro"), (".urdf", ".xacro", ".glb")
 VERIFIED, POSES = 25, 2  # models that are looked at closely, and poses of each
@@ -81,11 +82,11 @@ class Found(NamedTuple):
         return self.match.placed(self.model.surface)
 
 
+@dataclasses.dataclass(frozen=True, eq=False)
 class Library:
     """Models that objects may be, in metres."""
 
-    def __init__(self, models: Sequence[Model]):
-        self.models = tuple(models)
+    models: Sequence[Model]
 
     @functools.cached_property
     def digest(self) -> str:
@@ -147,12 +148,11 @@ class Library:
         gives the same result.
         """
         scan = Scan(np.asarray(points, np.float64), np.asarray(eye), visibility)
-        strain = np.inf
-        if other is not None:
-            strain = evidence.strain(KDTree(other).query(scan.raw)[0], scan.noise)
+        far = np.array([np.inf])
+        apart = far if other is None else KDTree(other).query(scan.raw)[0]
+        strain = evidence.strain(apart, scan.noise)
         if before is not None and before.model is not None and before.match is not None:
-            start = before.match.poses(before.model.surface)
-            here = _best(scan, before.model, start)
+            here = _best(scan, before.model, before.match.poses(before.model.surface))
             if not evidence.doubt(here.evidence, strain):
                 return before._replace(match=here)
         refused, fitting = {}, []
@@ -244,12 +244,9 @@ def prepared(
         digest.update(part.tobytes())
     folder = default_cache_dir() / "models"
     path = folder / f"{digest.hexdigest()[:32]}.npz"
-    try:
-        with np.load(path, allow_pickle=False) as kept:
-            fields = (kept[field] for field in Surface._fields)
-            return Model(name, *parts, Surface(*fields))
-    except Exception:  # not there, or damaged in any way
-        pass
+    # It may not be there, or damaged in any way.
+    with contextlib.suppress(Exception), np.load(path, allow_pickle=False) as kept:
+        return Model(name, *parts, Surface(*(kept[field] for field in Surface._fields)))
     try:
         surface = surface_of(*parts)
     except ValueError as error:
@@ -257,9 +254,7 @@ def prepared(
         raise InputError(name, str(error), remedy) from None
     content = io.BytesIO()
     np.savez(content, **surface._asdict())
-    try:
+    with contextlib.suppress(InputError):  # a full disk is no fault of the model
         make_output_dir(folder)
         write_bytes(path, content.getvalue())
-    except InputError:
-        pass  # a cache that cannot be written is no fault of the model
     return Model(name, *parts, surface)

@@ -155,17 +155,10 @@ def solve_planes(
     """The small turns about the origin and shifts that bring weighted points nearest to
     planes through others, and the matrices of the squares."""
     gap = np.einsum("hsi,hsi->hs", laid - on, normals)
-    slopes = slopes_of(laid, normals)
+    slopes = np.concatenate([np.cross(laid, normals), normals], axis=-1)
     weighted = slopes * weights[..., None]
     squares = (weighted.swapaxes(1, 2) @ slopes).astype(np.float64)
     pulled = -np.einsum("hsi,hs->hi", weighted, gap).astype(np.float64)
     least = 1e-4 * np.einsum("hii->hi", squares)[..., None] * np.eye(6)
     motions = np.linalg.solve(squares + least + 1e-12 * np.eye(6), pulled[..., None])
     return motions[..., 0], squares
-
-
-def slopes_of(
-    points: Float[np.ndarray, "*shape 3"], normals: Float[np.ndarray, "*shape 3"]
-) -> Float[np.ndarray, "*shape 6"]:
-    """How far points move along normals with a turn about the origin, and a shift."""
-    return np.concatenate([np.cross(points, normals), normals], axis=-1)

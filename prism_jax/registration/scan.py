@@ -34,15 +34,13 @@ class Scan:
     @functools.cached_property
     def raw(self) -> Float64[np.ndarray, "M 3"]:
         """At most `RAW` points as they were measured, drawn at random."""
-        if len(self.points) <= RAW:
-            return self.points
-        rng = np.random.default_rng(0)
-        return self.points[np.sort(rng.choice(len(self.points), RAW, False))]
+        order = np.random.default_rng(0).permutation(len(self.points))
+        return self.points[np.sort(order[:RAW])]
 
     @functools.cached_property
-    def tree(self) -> KDTree:
-        """Of the `raw` points."""
-        return KDTree(self.raw)
+    def spacing(self) -> float:
+        """Usual distance of the `raw` points."""
+        return float(np.median(KDTree(self.raw).query(self.raw, k=2)[0][:, 1]))
 
     @functools.cached_property
     def cells(self) -> Int[np.ndarray, " M"]:

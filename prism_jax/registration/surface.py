@@ -34,17 +34,12 @@ class Surface(NamedTuple):
     codes: UInt16[np.ndarray, " P"]
     pairs: UInt16[np.ndarray, "P 2"]
     widths: Float64[np.ndarray, " D"]  # in many directions, in rising order
-    area: Float64[np.ndarray, ""]
+    spacing: Float64[np.ndarray, ""]  # usual distance of its points
 
     @property
     def size(self) -> float:
         """The longest side of its box."""
         return float(np.ptp(self.points, axis=0).max())
-
-    @property
-    def spacing(self) -> float:
-        """Usual distance of its points."""
-        return float(np.sqrt(self.area / len(self.points)))
 
     def index(self, points: Float[np.ndarray, "*shape 3"]) -> Int[np.ndarray, "*shape"]:
         """About the nearest of its points; far outside some point of the edge."""
@@ -87,10 +82,8 @@ def surface_of(
     nearest = KDTree(points).query(middles)[1].astype(np.uint16).reshape(shape)
     single = points.astype(np.float32), normals.astype(np.float32)
     grid = nearest, corner, np.array(cell)
-    widths = widths_of(points)
-    return Surface(
-        middle, *single, two_sided, *grid, codes, pairs, widths, np.array(area)
-    )
+    lengths = widths_of(points), np.sqrt(area / len(points))
+    return Surface(middle, *single, two_sided, *grid, codes, pairs, *lengths)
 
 
 def widths_of(points: Float[np.ndarray, "N 3"], share: float = 0.0) -> np.ndarray:
