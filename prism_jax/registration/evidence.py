@@ -25,7 +25,7 @@ BESIDE, APART = 0.04, 3.0
 """In longest sides and in spacings of a scan: nearer to it a surface was measured."""
 TOLERANCE = 0.03  # in longest sides: so much nearer to the sensor is in front
 
-LEAST_FIT, LEAST_COVERED, LEAST_SEEN, MOST_DENIED = 0.9, 0.3, 0.25, 0.05
+LEAST_FIT, LEAST_COVERED, LEAST_SEEN, MOST_DENIED = 0.925, 0.3, 0.25, 0.05
 MOST_STRAIN, MOST_BIAS, AMPLE, MARGIN = 1.8, 2.5, 0.5, 0.5
 """What a model needs to be taken for an object, chosen on validation parts."""
 
