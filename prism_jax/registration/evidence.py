@@ -8,9 +8,10 @@ from scipy.spatial import KDTree
 
 from prism_jax.geometry.camera import MIN_DEPTH
 from prism_jax.geometry.visibility import BACKGROUND, SURFACE, UNKNOWN, look_up
+from prism_jax.preprocessing.segmentation.clusters import thin
 from prism_jax.preprocessing.visibility_map import in_free_space
 from prism_jax.registration.pose import Poses, solve_planes
-from prism_jax.registration.scan import Scan
+from prism_jax.registration.scan import COARSE_CELLS, Scan
 from prism_jax.registration.surface import Surface, foremost
 
 FITS = 3.0  # in the sensor's noise: nearer points lie on the model
@@ -19,14 +20,16 @@ FEWER = 3  # one point in so many refines all steps but the last
 NEIGHBORS = 4  # points of the surface, of which one explains a measured point
 FLAT = 2.5  # in spacings of the surface: so far its points stand for their planes
 EVERY = 2  # one of its points in so many tells what is seen of it
+LOOSE = 0.01  # radians, and longest sides
 EXACT = 0.0015  # in longest sides: so far points and poses are exact
+SOME = 4  # points of a cell that say something
 GRAZING = 0.2  # cosine under which nothing is expected of a surface
 BESIDE, APART = 0.04, 3.0
 """In longest sides and in spacings of a scan: nearer to it a surface was measured."""
 TOLERANCE = 0.03  # in longest sides: so much nearer to the sensor is in front
 
 LEAST_FIT, LEAST_COVERED, LEAST_SEEN, MOST_DENIED = 0.925, 0.3, 0.25, 0.05
-MOST_STRAIN, MOST_BIAS, AMPLE, MARGIN = 1.8, 2.5, 0.5, 0.5
+MOST_ODD, MOST_STRAIN, MOST_BIAS, AMPLE, MARGIN = 0.012, 1.8, 2.5, 0.5, 0.5
 """What a model needs to be taken for an object, chosen on validation parts."""
 
 
@@ -37,6 +40,7 @@ class Evidence(NamedTuple):
     covered: float  # share of the model's surface within `BESIDE` of measured points
     seen: float  # share of the front that should have been seen, what was
     denied: float  # and what the sensor looked through
+    odd: float  # share of places where most points, or most of the front, are denied
     strain: float  # of the points, as `strain` has it
     bias: float  # of the means of neighbours, in what noise alone would make of them
 
@@ -89,15 +93,17 @@ def match(scan: Scan, surface: Surface, tree: KDTree, poses: Poses) -> Match:
     pose, back = np.eye(4), poses.rotations[0].T
     pose[:3, :3] = back
     pose[:3, 3] = -back @ (poses.shifts[0] + surface.middle)
-    covariance = scan.noise**2 * np.linalg.pinv(squares, hermitian=True)
+    # What no point tells, as where along a plane it lies, is known to about `LOOSE`.
+    loose = LOOSE * np.array([1.0] * 3 + [surface.size] * 3)
+    covariance = np.linalg.inv(squares / scan.noise**2 + np.diag(loose**-2.0))
     fits = np.abs(gap) <= FITS * scan.noise
     badly = strain(np.abs(gap), scan.noise), _bias(scan, gap, fits, surface.size)
     placed = (surface.points[::EVERY] + surface.middle) @ back.T + pose[:3, 3]
     beside = max(BESIDE * surface.size, APART * scan.spacing)
     covered = float((KDTree(scan.raw).query(placed)[0] < beside).mean())
-    seen = _looked_for(scan, surface, pose, placed)
-    told = Evidence(float(fits.mean()), covered, *seen, *badly)
-    return Match(pose, covariance, scan.noise, told)
+    *seen, odd = _looked_for(scan, surface, pose, placed)
+    shares = float(fits.mean()), covered, *seen, max(odd, _odd(scan.cells, ~fits))
+    return Match(pose, covariance, scan.noise, Evidence(*shares, *badly))
 
 
 def _gaps(
@@ -120,6 +126,12 @@ def _gaps(
     return gap, laid, rows
 
 
+def _odd(owner: np.ndarray, wrong: np.ndarray) -> float:
+    """The share of cells with some points in which most points are wrong."""
+    count, most = np.bincount(owner), 2 * np.bincount(owner, wrong)
+    return float((most > count)[count >= SOME].mean()) if (count >= SOME).any() else 0.0
+
+
 def _bias(scan: Scan, gap: np.ndarray, fits: np.ndarray, size: float) -> float:
     """The square of how far neighbours lie from the model on average, in what noise
     alone makes of it: about 1 for the right model, more where the shape is another."""
@@ -135,12 +147,13 @@ def _bias(scan: Scan, gap: np.ndarray, fits: np.ndarray, size: float) -> float:
 
 def _looked_for(
     scan: Scan, surface: Surface, pose: np.ndarray, points: np.ndarray
-) -> tuple[float, float]:
+) -> tuple[float, float, float]:
     """Of the model's front the shares that the sensor measured and that it looked
-    through. What hides it counts for nothing, and what is not known for half. All was
-    seen where nobody knows where a sensor stood."""
+    through, and the share of its places that it looked through mostly. What hides it
+    counts for nothing, and what is not known for half. All was seen where nobody knows
+    where a sensor stood."""
     if scan.visibility is None:
-        return 1.0, 0.0
+        return 1.0, 0.0, 0.0
     normals = surface.normals[::EVERY] @ pose[:3, :3].T
     rays = scan.eye - points
     away = np.linalg.norm(rays, axis=1)
@@ -162,7 +175,8 @@ def _looked_for(
     denied = in_free_space(points, beyond, reach) & ~measured
     unknown = 0.5 * (state == UNKNOWN).sum()
     counted = max(measured.sum() + denied.sum() + unknown, 1)
-    return float(measured.sum() / counted), float(denied.sum() / counted)
+    odd = _odd(thin(points, COARSE_CELLS)[1], denied)
+    return float(measured.sum() / counted), float(denied.sum() / counted), odd
 
 
 def strain(apart: Float[np.ndarray, " N"], noise: float) -> float:
@@ -180,6 +194,8 @@ def doubt(told: Evidence, other: float = np.inf) -> str | None:
         return f"the sensor saw through {told.denied:.0%} of its front"
     if told.covered < LEAST_COVERED:
         return f"{told.covered:.0%} of its surface was measured"
+    if told.odd > MOST_ODD:
+        return f"something else is at {told.odd:.1%} of its places"
     if told.seen < LEAST_SEEN:
         return f"{told.seen:.0%} of its front was measured"
     # The less of it was seen, the better must it fit.

@@ -18,7 +18,7 @@ from prism_jax.io.atomic import make_output_dir, write_bytes
 from prism_jax.io.errors import InputError, StrPath, choose, require
 from prism_jax.io.files import default_cache_dir
 from prism_jax.registration import evidence
-from prism_jax.registration.evidence import EXACT, Match
+from prism_jax.registration.evidence import Match
 from prism_jax.registration.pose import Poses, search
 from prism_jax.registration.scan import Scan
 from prism_jax.registration.surface import Surface, surface_of
@@ -64,18 +64,6 @@ class Found(NamedTuple):
         told = {"model": self.model.name, "equal": self.equal, "pose": self.match.pose}
         return {**told, **self.match.evidence._asdict(), "refused": self.refused}
 
-    def moved(self, before: "Found | None") -> float:
-        """How far the middle of the model has moved since it was found `before`, in
-        metres: 0 within what the two poses are good to, and for another model."""
-        if before is None or self.model is None or self.model is not before.model:
-            return 0.0
-        assert self.match is not None and before.match is not None
-        surface, matches = self.model.surface, (self.match, before.match)
-        one, other = (m.pose[:3] @ [*surface.middle, 1.0] for m in matches)
-        away = float(np.linalg.norm(one - other))
-        variance = sum(m.covariance[3:, 3:].trace() for m in matches)
-        return away if away > 3 * variance**0.5 + 2 * EXACT * surface.size else 0.0
-
     def placed(self) -> tuple[Float[np.ndarray, "M 3"], Float[np.ndarray, " M"]]:
         """Points of the model's surface in its pose, and the sigma of each."""
         assert self.model is not None and self.match is not None
@@ -98,10 +86,11 @@ class Library:
 
     @classmethod
     def from_folder(cls, folder: StrPath, unit: str | None = None) -> "Library":
-        """All OBJ, STL, PLY, DAE and GLB files in a folder and below it, and the links
-        of all URDF and xacro files. Lengths of the others than URDF, xacro and GLB are
-        of this `unit`, one of `UNITS`; without it such a file raises InputError, as
-        does one that cannot be read. What is made of a model is kept in the cache."""
+        """All OBJ, STL, PLY, DAE and GLB files in a folder and below it; where there is
+        a URDF or xacro file its links instead. Lengths of the others than URDF, xacro
+        and GLB are of this `unit`, one of `UNITS`; without it such a file raises
+        InputError, as does one that cannot be read. What is made of a model is kept in
+        the cache."""
         require("trimesh", "cad")
         root = pathlib.Path(folder)
         suffixes = *MESH_SUFFIXES, *ROBOTS
@@ -109,8 +98,8 @@ class Library:
         if not files:
             remedy = f"give a folder of {' '.join(suffixes)} files"
             raise InputError(folder, "no models in this folder", remedy)
-        if unit is not None:
-            choose("--known_unit", unit, UNITS)
+        choose("--known_unit", unit or "m", UNITS)
+        homes = [file.parent for file in files if file.suffix.lower() in ROBOTS]
         models = []
         for file in files:
             name, kind = file.relative_to(root).as_posix(), file.suffix.lower()
@@ -120,6 +109,8 @@ class Library:
                     own = mesh.vertices, mesh.faces
                     models.append(prepared(f"{name}:{link}", *map(np.asarray, own)))
                 continue
+            if any(file.is_relative_to(home) for home in homes):
+                continue  # a mesh of a robot's link
             if unit is None and kind not in METRIC:
                 remedy = f"set --known_unit to one of {', '.join(UNITS)}"
                 raise InputError(file, "the unit of its lengths is not known", remedy)
@@ -155,12 +146,9 @@ class Library:
             here = _best(scan, before.model, before.match.poses(before.model.surface))
             if not evidence.doubt(here.evidence, strain):
                 return before._replace(match=here)
-        refused, fitting = {}, []
-        for model in self.models:
-            if reason := _misfit(scan, model.surface):
-                refused[model.name] = reason
-            else:
-                fitting.append(model)
+        misfits = {model.name: _misfit(scan, model.surface) for model in self.models}
+        refused = {name: reason for name, reason in misfits.items() if reason}
+        fitting = [model for model in self.models if model.name not in refused]
         placed = [search(scan, model.surface, up) for model in fitting]
         order = sorted(range(len(fitting)), key=lambda i: -placed[i][1][0])
         for i in order[VERIFIED:]:
@@ -203,8 +191,8 @@ def _alike(one: Model, match: Match, other: Model, its: Match) -> bool:
     """Whether two models are the same surface where they were found."""
     near = ALIKE * one.surface.size + one.surface.spacing
     placed = match.placed(one.surface)[0], its.placed(other.surface)[0]
-    pairs = placed, placed[::-1]
-    away = [np.quantile(KDTree(own).query(points)[0], 0.99) for own, points in pairs]
+    both = placed, placed[::-1]
+    away = [np.quantile(KDTree(own).query(points)[0], 0.99) for own, points in both]
     return bool(max(away) <= near)
 
 
@@ -213,8 +201,8 @@ def _misfit(scan: Scan, surface: Surface) -> str | None:
     times = surface.widths[-1] / scan.size
     if not 1 / FAR < times < FAR:
         word = "large" if times > 1 else "small"
-        times = float(f"{max(times, 1 / times):.0e}")
-        return f"about {times:,.0f} times too {word}: check the units"
+        times = 10 ** round(abs(np.log10(times)))
+        return f"about {times:,} times too {word}: check the units"
     slack = 0.05 * surface.size + 6.0 * scan.noise
     middle = len(scan.widths) // 2
     own, its = scan.widths[[middle, -1]], surface.widths[[middle, -1]]
@@ -242,8 +230,7 @@ def prepared(
     digest = hashlib.sha256(b"%d" % VERSION)
     for part in parts:
         digest.update(part.tobytes())
-    folder = default_cache_dir() / "models"
-    path = folder / f"{digest.hexdigest()[:32]}.npz"
+    path = default_cache_dir() / "models" / f"{digest.hexdigest()[:32]}.npz"
     # It may not be there, or damaged in any way.
     with contextlib.suppress(Exception), np.load(path, allow_pickle=False) as kept:
         return Model(name, *parts, Surface(*(kept[field] for field in Surface._fields)))
@@ -255,6 +242,6 @@ def prepared(
     content = io.BytesIO()
     np.savez(content, **surface._asdict())
     with contextlib.suppress(InputError):  # a full disk is no fault of the model
-        make_output_dir(folder)
+        make_output_dir(path.parent)
         write_bytes(path, content.getvalue())
     return Model(name, *parts, surface)

@@ -21,6 +21,8 @@ from prism_jax.io.streams.frame import Frame
 from prism_jax.preprocessing.segmentation.support import find_up
 from prism_jax.robots.urdf import Linkage
 
+ALIKE = 0.003  # in longest sides: poses of one place differ by as much
+
 
 def default_up(frame: Frame) -> str:
     """-y for a depth image in its camera's axes and a cloud in an optical frame, else
@@ -95,10 +97,20 @@ class FrameObserver(abc.ABC):
         return Observed(points, robot, up, around, rows[~own])
 
     def follow(self, found: Any) -> dict[str, Any] | None:
-        """What `StreamReport` says of the model in the next frame, if it is one."""
+        """What `StreamReport` says of the model in the next frame, if it is one, and
+        how far its middle has moved since the last: 0 within what poses are good to."""
         if found is None or found.model is None:
             return None
-        moved, self.found = found.moved(self.found), found
+        before, self.found = self.found, found
+        moved = 0.0
+        if before is not None and found.model is before.model:
+            matches, surface = (found.match, before.match), found.model.surface
+            one, other = (m.pose[:3] @ [*surface.middle, 1.0] for m in matches)
+            away = float(np.linalg.norm(one - other))
+            # In less the two poses may differ by chance.
+            variance = sum(m.covariance[3:, 3:].trace() for m in matches)
+            good = 3 * variance**0.5 + ALIKE * surface.size
+            moved = away if away > good else 0.0
         return {**found.told(), "refused": {}, "moved": moved}
 
     def _up(self, frame: Frame, points: np.ndarray) -> str | Vector:

@@ -435,7 +435,7 @@ def test_a_scene_comes_back_as_its_objects_unless_one_is_asked_for(capsys):
 
 def test_an_object_that_is_a_model_is_told(altered, monkeypatch, capsys):
     """In all that is written, with the others and why it is none of them."""
-    evidence = Evidence(0.97, 0.4, 0.9, 0.01, 0.7, 1.0)
+    evidence = Evidence(0.97, 0.4, 0.9, 0.01, 0.0, 0.7, 1.0)
     match = Match(2 * np.eye(4), np.eye(6), 0.1, evidence)
     refused = {
         "b.stl": "too small",
