@@ -140,7 +140,7 @@ def complete_file(
     folder = claim(output_dir)
     check_targets(folder / name for name in _FILES)
     library = None
-    if known is not None:
+    if known is not None or known_unit is not None:
         with _timed(f"preparing the models of {known}", "models", seconds):
             library = load_library(known, known_unit)
     with _timed(f"loading the weights {weights}", "load", seconds):
@@ -266,8 +266,11 @@ def _tell_of_known(objects: Sequence[Any]) -> None:
             _say(f"object {number} is {names}")
         odd = {name: why for name, why in found.refused.items() if "check" in why}
         for name, why in list(odd.items())[:1]:
-            more = f", and {len(odd) - 1} others" if len(odd) > 1 else ""
+            more = f" or {len(odd) - 1} others" if len(odd) > 1 else ""
             _say(f"object {number} is not {name}{more}: {why} (--known_unit)")
+    if all(one.known.model is None and one.sensor != "given" for one in objects):
+        told = "set --eye or --camera if the sensor did not stand at 0,0,0"
+        _say(f"no object is one of the models; {told}")
 
 
 def _check_not_empty(scene: Any, scan: io.Scan, view: Any, source: str) -> None:

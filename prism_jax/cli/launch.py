@@ -171,6 +171,8 @@ def load_completer(weights: str, quick: bool = False) -> Any:
 @functools.cache
 def load_library(folder: str | None, unit: str | None) -> Any:
     """The models of a folder, the same ones for several scans; None without one."""
+    if folder is None and unit is not None:
+        raise InputError("--known_unit", "needs models", "set --known too")
     if folder is None:
         return None
     from prism_jax.registration.library import Library

@@ -181,6 +181,8 @@ def follow(
     for number, one in report.known.items():
         if one["moved"]:
             tell(f"frame {number}: {one['model']} moved by {one['moved']:.3g} m")
+    if asked.get("known") and not report.known:
+        tell("no frame holds a known model: check where its sensor stood (--camera)")
     if not report.completed:
         told = [stream.told[kind] for kind in _REASONS if kind in stream.told]
         reason = told[0] if told else "the recording has none"
