@@ -101,9 +101,10 @@ def match(scan: Scan, surface: Surface, tree: KDTree, poses: Poses) -> Match:
     placed = (surface.points[::EVERY] + surface.middle) @ back.T + pose[:3, 3]
     beside = max(BESIDE * surface.size, APART * scan.spacing)
     covered = float((KDTree(scan.raw).query(placed)[0] < beside).mean())
-    *seen, odd = _looked_for(scan, surface, pose, placed)
-    shares = float(fits.mean()), covered, *seen, max(odd, _odd(scan.cells, ~fits))
-    return Match(pose, covariance, scan.noise, Evidence(*shares, *badly))
+    seen, denied, odd = _looked_for(scan, surface, pose, placed)
+    fit, odd = float(fits.mean()), max(odd, _odd(scan.cells, ~fits))
+    told = Evidence(fit, covered, seen, denied, odd, *badly)
+    return Match(pose, covariance, scan.noise, told)
 
 
 def _gaps(

@@ -106,8 +106,7 @@ class Library:
             if kind in ROBOTS:
                 robot = Linkage(file)
                 for link, mesh in zip(robot.link_names, robot.meshes, strict=True):
-                    own = mesh.vertices, mesh.faces
-                    models.append(prepared(f"{name}:{link}", *map(np.asarray, own)))
+                    models.append(prepared(f"{name}:{link}", mesh.vertices, mesh.faces))
                 continue
             if any(file.is_relative_to(home) for home in homes):
                 continue  # a mesh of a robot's link
