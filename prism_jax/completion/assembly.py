@@ -37,6 +37,8 @@ if TYPE_CHECKING:
 
 DEPTH_PIXELS = 128
 
+UNNOTICED = "a small or hidden change of a known part goes unnoticed: look at the model"
+
 _render = jax.jit(render_depth)
 
 
@@ -254,7 +256,7 @@ def with_model(
         points=points,
         observed=observed,
         left_away=dict.fromkeys(completed.left_away, 0),
-        verdict=Verdict("high", error, (), told),
+        verdict=Verdict("fair", error, (UNNOTICED,), told),
         sigma=sigma,
         capped=False,
         known=found,
