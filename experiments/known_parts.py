@@ -176,9 +176,7 @@ def row_of(completer: Completer, part: Part, others: list[Model]) -> dict[str, A
 
     def sought(*models: Model) -> tuple[Found, float, float]:
         start = time.perf_counter(), time.process_time()
-        found = completer.knowing(Library(models)).recognise(
-            task, plain.prediction, options
-        )
+        found = completer.knowing(Library(models)).recognise(task, options)
         return found, time.perf_counter() - start[0], time.process_time() - start[1]
 
     timed = [sought(part.model, *others[: size - 1]) for size in SIZES]

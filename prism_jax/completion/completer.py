@@ -250,7 +250,7 @@ class Completer:
         if self.known is None:
             return done
         start = time.perf_counter()
-        found = self.recognise(task, done.prediction, options)
+        found = self.recognise(task, options)
         done = assembly.with_model(done, task, options, found)
         seconds = {**seconds, "known": time.perf_counter() - start}
         return dataclasses.replace(done, seconds=seconds)
@@ -258,12 +258,10 @@ class Completer:
     def recognise(
         self,
         task: assembly.Task,
-        prediction: Float[np.ndarray, "P 3"],
         options: CompletionOptions,
         before: "Found | None" = None,
     ) -> "Found":
-        """Which of the known models an object is, of which the network makes this
-        prediction, in the user's frame, and which was found so `before`."""
+        """Which of the known models an object is, which was found so `before`."""
         assert self.known is not None
         seen, visibility = task.seen, task.visibility
         if visibility is None:
@@ -273,7 +271,6 @@ class Completer:
             np.asarray(seen.workspace.from_unit(np.asarray(seen.eye))),
             _to_user(visibility, seen) if seen.sensor_known else None,
             seen.workspace.up,
-            prediction,
             before,
         )
 

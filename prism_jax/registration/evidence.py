@@ -3,20 +3,20 @@
 from typing import NamedTuple
 
 import numpy as np
-from jaxtyping import Float, Float64
+from jaxtyping import Float64
 from scipy.spatial import KDTree
+from scipy.spatial.transform import Rotation
 
 from prism_jax.geometry.camera import MIN_DEPTH
 from prism_jax.geometry.visibility import BACKGROUND, SURFACE, UNKNOWN, look_up
 from prism_jax.preprocessing.segmentation.clusters import thin
 from prism_jax.preprocessing.visibility_map import in_free_space
-from prism_jax.registration.pose import Poses, solve_planes
+from prism_jax.registration.pose import Poses
 from prism_jax.registration.scan import COARSE_CELLS, Scan
 from prism_jax.registration.surface import Surface, foremost
 
 FITS = 3.0  # in the sensor's noise: nearer points lie on the model
-NEAR = 0.05, 0.03, 0.02, 0.015, 0.01  # in longest sides: what is refined, step by step
-FEWER = 3  # one point in so many refines all steps but the last
+NEAR = 0.01  # in longest sides: what the last step of a pose takes into account
 NEIGHBORS = 4  # points of the surface, of which one explains a measured point
 FLAT = 1.8  # in spacings of the surface: so far its points stand for their planes
 EVERY = 2  # one of its points in so many tells what is seen of it
@@ -29,7 +29,7 @@ BESIDE, APART = 0.04, 3.0
 TOLERANCE = 0.03  # in longest sides: so much nearer to the sensor is in front
 
 LEAST_FIT, LEAST_COVERED, LEAST_SEEN, MOST_DENIED = 0.925, 0.3, 0.25, 0.05
-MOST_ODD, MOST_STRAIN, MOST_BIAS, AMPLE, MARGIN = 0.012, 1.8, 2.5, 0.5, 0.5
+MOST_ODD, MOST_STRAIN, MOST_BIAS, AMPLE = 0.012, 1.8, 2.5, 0.5
 """What a model needs to be taken for an object, chosen on validation parts."""
 
 
@@ -41,7 +41,7 @@ class Evidence(NamedTuple):
     seen: float  # share of the front that should have been seen, what was
     denied: float  # and what the sensor looked through
     odd: float  # share of places where most points, or most of the front, are denied
-    strain: float  # of the points, as `strain` has it
+    strain: float  # the square of how far points lie off it, in noise, `FITS` at most
     bias: float  # of the means of neighbours, in what noise alone would make of them
 
 
@@ -59,10 +59,11 @@ class Match(NamedTuple):
         """1 for a model that explains everything."""
         return self.evidence.fit * self.evidence.seen
 
-    def poses(self, surface: Surface) -> Poses:
-        """The pose as the search has it: of the scan in the surface's frame."""
+    def poses(self, scan: Scan, surface: Surface) -> Poses:
+        """The pose as the search has it in a scan."""
         back = self.pose[:3, :3].T
-        return Poses(back[None], (-back @ self.pose[:3, 3] - surface.middle)[None])
+        shift = back @ (scan.middle - self.pose[:3, 3]) - surface.middle
+        return Poses(back[None], shift[None])
 
     def placed(
         self, surface: Surface
@@ -77,28 +78,31 @@ class Match(NamedTuple):
         return points + self.pose[:3, 3], sigma
 
 
-def match(scan: Scan, surface: Surface, tree: KDTree, poses: Poses) -> Match:
-    """One pose of the search refined by the points as they were measured, and what
-    speaks for it. `tree` is that of the surface's points."""
-    squares = np.zeros((6, 6))
-    for number, near in enumerate(NEAR):
-        some = scan.raw if number + 1 == len(NEAR) else scan.raw[::FEWER]
-        gap, laid, rows = _gaps(some, scan.eye, surface, tree, poses)
-        reach = max(near * surface.size, FITS * scan.noise)
-        weights = np.maximum(1 - (gap / reach) ** 2, 0)
-        on = surface.points[None, rows], surface.normals[None, rows].astype(np.float64)
-        motion, (squares,) = solve_planes(laid[None], *on, weights[None])
-        poses = poses.moved(motion)
-    gap, _, _ = _gaps(scan.raw, scan.eye, surface, tree, poses)
-    pose, back = np.eye(4), poses.rotations[0].T
-    pose[:3, :3] = back
-    pose[:3, 3] = -back @ (poses.shifts[0] + surface.middle)
+def match(scan: Scan, surface: Surface, poses: Poses) -> Match:
+    """One pose after a last step by all points, and what speaks for it."""
+    back, shift = poses.rotations[0], poses.shifts[0]
+    gap, laid, rows = _gaps(scan, surface, back, shift)
+    reach = max(NEAR * surface.size, FITS * scan.noise)
+    weights = np.maximum(1 - (gap / reach) ** 2, 0) / scan.noise**2
+    normals = surface.normals[rows].astype(np.float64)
+    slopes = np.concatenate([np.cross(laid, normals), normals], axis=1)
+    offsets = np.einsum("si,si->s", laid - surface.points[rows], normals)
     # What no point tells, as where along a plane it lies, is known to about `LOOSE`.
     loose = LOOSE * np.array([1.0] * 3 + [surface.size] * 3)
-    covariance = np.linalg.inv(squares / scan.noise**2 + np.diag(loose**-2.0))
+    covariance = np.linalg.inv(
+        slopes.T @ (weights[:, None] * slopes) + np.diag(loose**-2)
+    )
+    motion = -covariance @ slopes.T @ (weights * offsets)
+    turn = Rotation.from_rotvec(motion[:3]).as_matrix()
+    back, shift = turn @ back, turn @ shift + motion[3:]
+    gap, _, _ = _gaps(scan, surface, back, shift)
+    pose = np.eye(4)
+    pose[:3, :3] = back.T
+    pose[:3, 3] = scan.middle - back.T @ (shift + surface.middle)
     fits = np.abs(gap) <= FITS * scan.noise
-    badly = strain(np.abs(gap), scan.noise), _bias(scan, gap, fits, surface.size)
-    placed = (surface.points[::EVERY] + surface.middle) @ back.T + pose[:3, 3]
+    strain = float((np.minimum(np.abs(gap) / scan.noise, FITS) ** 2).mean())
+    badly = strain, _bias(scan, gap, fits, surface.size)
+    placed = (surface.points[::EVERY] + surface.middle) @ back + pose[:3, 3]
     beside = max(BESIDE * surface.size, APART * scan.spacing)
     covered = float((KDTree(scan.raw).query(placed)[0] < beside).mean())
     seen, denied, odd = _looked_for(scan, surface, pose, placed)
@@ -108,19 +112,19 @@ def match(scan: Scan, surface: Surface, tree: KDTree, poses: Poses) -> Match:
 
 
 def _gaps(
-    points: np.ndarray, eye: np.ndarray, surface: Surface, tree: KDTree, poses: Poses
+    scan: Scan, surface: Surface, back: np.ndarray, shift: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """How far points lie before the surface that faces the sensor, negative behind it,
     in one pose; where they lie, and the rows of the surface that are nearest."""
-    laid, seen_from = (
-        p @ poses.rotations[0].T + poses.shifts[0] for p in (points, eye)
-    )
-    away, near = tree.query(laid, k=NEIGHBORS)
+    laid, seen_from = ((p - scan.middle) @ back.T + shift for p in (scan.raw, scan.eye))
+    near, squares = surface.cloud[1].batch_knn_search(laid, NEIGHBORS)
     offset, normals = laid[:, None] - surface.points[near], surface.normals[near]
     gap = np.einsum("ski,ski->sk", offset, normals)
     toward = np.einsum("si,ski->sk", seen_from - laid, normals) > 0
-    beside = away**2 - gap**2 > (FLAT * surface.spacing) ** 2
-    gap = np.where(toward, 1, -1) * np.where(beside, np.copysign(away, gap), gap)
+    beside = squares - gap**2 > (FLAT * surface.spacing) ** 2
+    gap = np.where(toward, 1, -1) * np.where(
+        beside, np.copysign(np.sqrt(squares), gap), gap
+    )
     gap[~(toward | surface.two_sided[near])] = np.inf
     best = np.abs(gap).argmin(axis=1)[:, None]
     gap, rows = (np.take_along_axis(of, best, 1)[:, 0] for of in (gap, near))
@@ -180,15 +184,8 @@ def _looked_for(
     return float(measured.sum() / counted), float(denied.sum() / counted), odd
 
 
-def strain(apart: Float[np.ndarray, " N"], noise: float) -> float:
-    """How badly an explanation that lies so far from measured points explains them: 1
-    if by as much as the sensor's noise, and `FITS` squared at most."""
-    return float((np.minimum(apart / noise, FITS) ** 2).mean())
-
-
-def doubt(told: Evidence, other: float = np.inf) -> str | None:
-    """What speaks most against a model, if anything does; `other` is the strain of
-    another explanation."""
+def doubt(told: Evidence) -> str | None:
+    """What speaks most against a model, if anything does."""
     if told.fit < LEAST_FIT:
         return f"it explains {told.fit:.0%} of the points"
     if told.denied > MOST_DENIED:
@@ -203,7 +200,4 @@ def doubt(told: Evidence, other: float = np.inf) -> str | None:
     share = min(1.0, told.seen / AMPLE)
     if told.strain > share * MOST_STRAIN or told.bias > share * MOST_BIAS:
         return "its shape differs by more than the noise"
-    # A network's points keep to those that it was given, whatever these are of.
-    if told.strain > other + MARGIN:
-        return "the network explains the points better"
     return None

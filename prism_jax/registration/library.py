@@ -19,7 +19,7 @@ from prism_jax.io.errors import InputError, StrPath, choose, require
 from prism_jax.io.files import default_cache_dir
 from prism_jax.registration import evidence
 from prism_jax.registration.evidence import Match
-from prism_jax.registration.pose import Poses, search
+from prism_jax.registration.pose import Poses, refine, search
 from prism_jax.registration.scan import Scan
 from prism_jax.registration.surface import Surface, surface_of
 from prism_jax.robots.urdf import MESH_SUFFIXES, Linkage, read_mesh
@@ -27,7 +27,7 @@ from prism_jax.robots.urdf import MESH_SUFFIXES, Linkage, read_mesh
 VERSION = 6  # of what is kept in the cache
 UNITS = {"m": 1.0, "cm": 0.01, "mm": 0.001, "in": 0.0254}
 ROBOTS, METRIC = (".urdf", ".xacro"), (".urdf", ".xacro", ".glb")
-VERIFIED, POSES = 15, 4  # models that are looked at closely, and poses of each
+VERIFIED, POSES = 10, 4  # models that are looked at closely, and poses of each
 EQUAL = 0.03  # of the score: two models nearer than this explain an object equally
 ALIKE = 0.02  # in longest sides: two surfaces nearer than this are the same
 FAR = 100.0  # times as large or as small as an object: of another unit
@@ -41,11 +41,6 @@ class Model:
     vertices: Float[np.ndarray, "V 3"]
     faces: Int[np.ndarray, "F 3"]
     surface: Surface
-
-    @functools.cached_property
-    def tree(self) -> KDTree:
-        """Of the surface's points."""
-        return KDTree(self.surface.points)
 
 
 class Found(NamedTuple):
@@ -124,7 +119,6 @@ class Library:
         eye: Float[np.ndarray, "3"],
         visibility: Visibility | None = None,
         up: Float[np.ndarray, "3"] = np.array([0.0, 0.0, 1.0]),
-        other: Float[np.ndarray, "P 3"] | None = None,
         before: Found | None = None,
     ) -> Found:
         """The model that one object is, if it is one: of those that could be as large,
@@ -132,18 +126,15 @@ class Library:
 
         All in one frame, in metres. `eye` is where the sensor stood, perhaps by a
         guess; what it saw is the `visibility`, if its place is known. An object may
-        stand upright with regard to `up`, or lie anyhow. A model must explain the
-        points better than the `other` ones do, a network's. If it was found `before`,
-        it is looked for there first, and elsewhere only if it has gone. The same input
-        gives the same result.
+        stand upright with regard to `up`, or lie anyhow. If it was found
+        `before`, it is looked for there first, and elsewhere only if it has gone. The
+        same input gives the same result.
         """
         scan = Scan(np.asarray(points, np.float64), np.asarray(eye), visibility)
-        far = np.array([np.inf])
-        apart = far if other is None else KDTree(other).query(scan.raw)[0]
-        strain = evidence.strain(apart, scan.noise)
         if before is not None and before.model is not None and before.match is not None:
-            here = _best(scan, before.model, before.match.poses(before.model.surface))
-            if not evidence.doubt(here.evidence, strain):
+            poses = before.match.poses(scan, before.model.surface)
+            here = _best(scan, before.model, poses)
+            if not evidence.doubt(here.evidence):
                 return before._replace(match=here)
         misfits = {model.name: _misfit(scan, model.surface) for model in self.models}
         refused = {name: reason for name, reason in misfits.items() if reason}
@@ -155,7 +146,7 @@ class Library:
         sound = []
         for i in order[:VERIFIED]:
             model, match = fitting[i], _best(scan, fitting[i], placed[i][0])
-            if reason := evidence.doubt(match.evidence, strain):
+            if reason := evidence.doubt(match.evidence):
                 refused[model.name] = reason
             else:
                 sound.append((model, match))
@@ -213,9 +204,10 @@ def _misfit(scan: Scan, surface: Surface) -> str | None:
 
 
 def _best(scan: Scan, model: Model, poses: Poses) -> Match:
-    """The best of a model's poses."""
+    """The best of a model's poses, once they are refined."""
+    poses = refine(scan, model.surface, poses)
     matches = [
-        evidence.match(scan, model.surface, model.tree, poses.of([row]))
+        evidence.match(scan, model.surface, poses.of([row]))
         for row in range(min(POSES, len(poses.shifts)))
     ]
     return max(matches, key=lambda match: match.score)
@@ -232,14 +224,14 @@ def prepared(
     path = default_cache_dir() / "models" / f"{digest.hexdigest()[:32]}.npz"
     # It may not be there, or damaged in any way.
     with contextlib.suppress(Exception), np.load(path, allow_pickle=False) as kept:
-        return Model(name, *parts, Surface(*(kept[field] for field in Surface._fields)))
+        return Model(name, *parts, Surface(**kept))
     try:
         surface = surface_of(*parts)
     except ValueError as error:
         remedy = "export it again, or take it out of the folder"
         raise InputError(name, str(error), remedy) from None
     content = io.BytesIO()
-    np.savez(content, **surface._asdict())
+    np.savez(content, **dataclasses.asdict(surface))
     with contextlib.suppress(InputError):  # a full disk is no fault of the model
         make_output_dir(path.parent)
         write_bytes(path, content.getvalue())

@@ -2,6 +2,7 @@
 
 import dataclasses
 import functools
+from typing import Any
 
 import numpy as np
 from jaxtyping import Float, Float64, Int
@@ -9,6 +10,7 @@ from scipy.spatial import KDTree
 
 from prism_jax.geometry.cloud import IndexedCloud
 from prism_jax.geometry.visibility import Visibility
+from prism_jax.io.errors import require
 from prism_jax.preprocessing.segmentation.clusters import thin
 from prism_jax.registration.surface import spread, widths_of
 
@@ -16,6 +18,7 @@ CELLS = 40  # of a scan along its longest side, whose means make its normals
 COARSE_CELLS = 14  # likewise, for neighbours that a model misses alike
 NEIGHBORS = 12
 RAW = 2500  # measured points that are compared with a model
+FEW = 400  # of them refine poses
 SEARCHED = 200  # of the means, that poses are looked for with
 NUM_PAIRS = 4000
 FLYING = 0.01  # share of points that may fly off at each end
@@ -38,6 +41,14 @@ class Scan:
         return self.points[np.sort(order[:RAW])]
 
     @functools.cached_property
+    def cloud(self) -> Any:
+        """Some of the `raw` points about the middle, as small_gicp has them."""
+        small_gicp = require("small_gicp", "cad")
+        return small_gicp.PointCloud(
+            self.raw[:: 1 + len(self.raw) // FEW] - self.middle
+        )
+
+    @functools.cached_property
     def spacing(self) -> float:
         """Usual distance of the `raw` points."""
         return float(np.median(KDTree(self.raw).query(self.raw, k=2)[0][:, 1]))
@@ -51,6 +62,11 @@ class Scan:
     def means(self) -> Float64[np.ndarray, "M 3"]:
         """The means of the points in cells."""
         return thin(self.points, CELLS)[0]
+
+    @functools.cached_property
+    def middle(self) -> Float64[np.ndarray, "3"]:
+        """Of the means: poses turn about it."""
+        return self.means.mean(axis=0)
 
     @functools.cached_property
     def normals(self) -> Float64[np.ndarray, "M 3"]:

@@ -1,6 +1,8 @@
 """A model's surface as sensors see it from outside, and what finds points on it."""
 
-from typing import NamedTuple
+import dataclasses
+import functools
+from typing import Any
 
 import numpy as np
 from jaxtyping import Bool, Float, Float32, Float64, Int, UInt16
@@ -19,7 +21,8 @@ DIRECTIONS = 64
 NO_CODE = 2**16 - 1  # of pairs longer than any of the model's
 
 
-class Surface(NamedTuple):
+@dataclasses.dataclass(frozen=True, eq=False)
+class Surface:
     """Points of a model's outer surface, from the middle of its box."""
 
     middle: Float64[np.ndarray, "3"]  # in the model's frame
@@ -36,10 +39,19 @@ class Surface(NamedTuple):
     widths: Float64[np.ndarray, " D"]  # in many directions, in rising order
     spacing: Float64[np.ndarray, ""]  # usual distance of its points
 
-    @property
+    @functools.cached_property
     def size(self) -> float:
         """The longest side of its box."""
         return float(np.ptp(self.points, axis=0).max())
+
+    @functools.cached_property
+    def cloud(self) -> tuple[Any, Any]:
+        """Its points with normals, and their tree, as small_gicp has them."""
+        small_gicp = require("small_gicp", "cad")
+        cloud = small_gicp.PointCloud(self.points.astype(np.float64))
+        tree = small_gicp.KdTree(cloud)
+        small_gicp.estimate_normals_covariances(cloud, tree)
+        return cloud, tree
 
     def index(self, points: Float[np.ndarray, "*shape 3"]) -> Int[np.ndarray, "*shape"]:
         """About the nearest of its points; far outside some point of the edge."""

@@ -73,8 +73,7 @@ class FrameCompleter(FrameObserver):
         joined = join(task, completion.points, options)
         points, measured, known = joined.points, joined.observed, None
         if self.completer.known is not None:
-            predicted = np.asarray(workspace.from_unit(np.asarray(completion.points)))
-            found = self.completer.recognise(task, predicted, options, self.found)
+            found = self.completer.recognise(task, options, self.found)
             known = self.follow(found)
             if known is not None:
                 own = points[measured]
