@@ -3,7 +3,7 @@
 from typing import NamedTuple
 
 import numpy as np
-from jaxtyping import Float64
+from jaxtyping import Float, Float64
 from scipy.spatial import KDTree
 from scipy.spatial.transform import Rotation
 
@@ -11,7 +11,7 @@ from prism_jax.geometry.camera import MIN_DEPTH
 from prism_jax.geometry.visibility import BACKGROUND, SURFACE, UNKNOWN, look_up
 from prism_jax.preprocessing.segmentation.clusters import thin
 from prism_jax.preprocessing.visibility_map import in_free_space
-from prism_jax.registration.pose import Poses
+from prism_jax.registration.pose import rigid
 from prism_jax.registration.scan import COARSE_CELLS, Scan
 from prism_jax.registration.surface import Surface, foremost
 
@@ -59,11 +59,11 @@ class Match(NamedTuple):
         """1 for a model that explains everything."""
         return self.evidence.fit * self.evidence.seen
 
-    def poses(self, scan: Scan, surface: Surface) -> Poses:
+    def poses(self, scan: Scan, surface: Surface) -> Float64[np.ndarray, "1 4 4"]:
         """The pose as the search has it in a scan."""
         back = self.pose[:3, :3].T
         shift = back @ (scan.middle - self.pose[:3, 3]) - surface.middle
-        return Poses(back[None], shift[None])
+        return rigid(back, shift)[None]
 
     def placed(
         self, surface: Surface
@@ -78,9 +78,9 @@ class Match(NamedTuple):
         return points + self.pose[:3, 3], sigma
 
 
-def match(scan: Scan, surface: Surface, poses: Poses) -> Match:
-    """One pose after a last step by all points, and what speaks for it."""
-    back, shift = poses.rotations[0], poses.shifts[0]
+def match(scan: Scan, surface: Surface, pose: Float[np.ndarray, "4 4"]) -> Match:
+    """A pose of the search after a last step by all points, and what speaks for it."""
+    back, shift = pose[:3, :3], pose[:3, 3]
     gap, laid, rows = _gaps(scan, surface, back, shift)
     reach = max(NEAR * surface.size, FITS * scan.noise)
     weights = np.maximum(1 - (gap / reach) ** 2, 0) / scan.noise**2
@@ -96,9 +96,7 @@ def match(scan: Scan, surface: Surface, poses: Poses) -> Match:
     turn = Rotation.from_rotvec(motion[:3]).as_matrix()
     back, shift = turn @ back, turn @ shift + motion[3:]
     gap, _, _ = _gaps(scan, surface, back, shift)
-    pose = np.eye(4)
-    pose[:3, :3] = back.T
-    pose[:3, 3] = scan.middle - back.T @ (shift + surface.middle)
+    pose = rigid(back.T, scan.middle - back.T @ (shift + surface.middle))
     fits = np.abs(gap) <= FITS * scan.noise
     strain = float((np.minimum(np.abs(gap) / scan.noise, FITS) ** 2).mean())
     badly = strain, _bias(scan, gap, fits, surface.size)

@@ -19,7 +19,7 @@ from prism_jax.io.errors import InputError, StrPath, choose, require
 from prism_jax.io.files import default_cache_dir
 from prism_jax.registration import evidence
 from prism_jax.registration.evidence import Match
-from prism_jax.registration.pose import Poses, refine, search
+from prism_jax.registration.pose import refine, search
 from prism_jax.registration.scan import Scan
 from prism_jax.registration.surface import Surface, surface_of
 from prism_jax.robots.urdf import MESH_SUFFIXES, Linkage, read_mesh
@@ -126,9 +126,9 @@ class Library:
 
         All in one frame, in metres. `eye` is where the sensor stood, perhaps by a
         guess; what it saw is the `visibility`, if its place is known. An object may
-        stand upright with regard to `up`, or lie anyhow. If it was found
-        `before`, it is looked for there first, and elsewhere only if it has gone. The
-        same input gives the same result.
+        stand upright with regard to `up`, or lie anyhow. If it was found `before`, it
+        is looked for there first, and elsewhere only if it has gone. The same input
+        gives the same result.
         """
         scan = Scan(np.asarray(points, np.float64), np.asarray(eye), visibility)
         if before is not None and before.model is not None and before.match is not None:
@@ -203,13 +203,10 @@ def _misfit(scan: Scan, surface: Surface) -> str | None:
     return None
 
 
-def _best(scan: Scan, model: Model, poses: Poses) -> Match:
+def _best(scan: Scan, model: Model, poses: np.ndarray) -> Match:
     """The best of a model's poses, once they are refined."""
-    poses = refine(scan, model.surface, poses)
-    matches = [
-        evidence.match(scan, model.surface, poses.of([row]))
-        for row in range(min(POSES, len(poses.shifts)))
-    ]
+    refined = refine(scan, model.surface, poses)[:POSES]
+    matches = [evidence.match(scan, model.surface, pose) for pose in refined]
     return max(matches, key=lambda match: match.score)
 
 

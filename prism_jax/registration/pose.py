@@ -1,6 +1,6 @@
 """Where a model lies in a scan: poses by pairs of points, the best of them refined."""
 
-from typing import NamedTuple
+import itertools
 
 import numpy as np
 from jaxtyping import Float, Float64
@@ -13,10 +13,7 @@ from prism_jax.registration.surface import Surface, pair_codes
 HYPOTHESES, PER_PAIR = 3000, 12  # poses by pairs, and at most of one pair of the scan
 HEADINGS = 36
 TOWARD = 0.3  # cosine over which a sensor sees a side of a box
-JUDGED, KEPT = (
-    (32, 200),
-    150,
-)  # points that judge poses, in turn, and how many they keep
+JUDGED, KEPT = (32, 200), 150  # points that judge poses in turn, and what they keep
 REFINED = 12  # poses
 REACH = 0.06  # of a model's point, in longest sides, in the search
 STRICTLY = 0.5  # of this reach, for what was refined
@@ -27,66 +24,54 @@ ROUGHLY, EXACTLY = 0.05, 0.01  # in longest sides: poses nearer to each other ar
 STILL = 1e-3  # in radians and in longest sides: a smaller step of a refinement ends it
 
 
-class Poses(NamedTuple):
-    """From a scan's frame, about its middle, to the surface's."""
-
-    rotations: Float[np.ndarray, "H 3 3"]
-    shifts: Float[np.ndarray, "H 3"]
-
-    def of(self, rows: list[int] | np.ndarray) -> "Poses":
-        """Some of them."""
-        return Poses(self.rotations[rows], self.shifts[rows])
-
-
 def search(
     scan: Scan, surface: Surface, up: Float[np.ndarray, "3"]
-) -> tuple[Poses, Float[np.ndarray, " H"]]:
+) -> tuple[Float64[np.ndarray, "H 4 4"], Float[np.ndarray, " H"]]:
     """Rough poses of a model in a scan, each another, best first, and how well the
     points lie on the model in each: 1 if all do. The model may stand upright, its z
-    along `up` in the scan's frame, or lie anyhow."""
-    found = by_pairs(scan, surface), by_headings(scan, surface, up)
-    poses = Poses(*map(np.concatenate, zip(*found, strict=True)))
+    along `up` in the scan's frame, or lie anyhow. Poses lead from the scan's frame,
+    about its middle, to the surface's."""
+    poses = np.concatenate([by_pairs(scan, surface), by_headings(scan, surface, up)])
     scores = np.zeros(0)
     for count in JUDGED:
         scores = _scores(scan, surface, poses, count)
         order = np.argsort(-scores, kind="stable")[:KEPT]
-        poses, scores = poses.of(order), scores[order]
+        poses, scores = poses[order], scores[order]
     chosen = _distinct(poses, ROUGHLY * surface.size)[:REFINED]
-    return poses.of(chosen), scores[chosen]
+    return poses[chosen], scores[chosen]
 
 
-def refine(scan: Scan, surface: Surface, poses: Poses) -> Poses:
+def refine(
+    scan: Scan, surface: Surface, poses: Float64[np.ndarray, "H 4 4"]
+) -> Float64[np.ndarray, "R 4 4"]:
     """Each moved to where the points lie best on planes of the surface near them; those
     that come together once, best first."""
     small_gicp = require("small_gicp", "cad")
-    (cloud, tree), motions = surface.cloud, []
-    for rotation, shift in zip(*poses, strict=True):
-        motion = np.eye(4)
-        motion[:3, :3], motion[:3, 3] = rotation, shift
-        for near in NEAR:
-            motion = small_gicp.align(
-                cloud,
-                scan.cloud,
-                tree,
-                motion,
-                "PLANE_ICP",
-                max_correspondence_distance=max(
-                    near * surface.size, FITTING * scan.noise
-                ),
-                rotation_epsilon=STILL,
-                translation_epsilon=STILL * surface.size,
-            ).T_target_source
-        motions.append(motion)
-    poses = Poses(np.array(motions)[:, :3, :3], np.array(motions)[:, :3, 3])
-    scores = _scores(scan, surface, poses, JUDGED[-1], STRICTLY)
-    poses = poses.of(np.argsort(-scores, kind="stable"))
-    return poses.of(_distinct(poses, EXACTLY * surface.size))
+    cloud, tree = surface.cloud
+    still = {"rotation_epsilon": STILL, "translation_epsilon": STILL * surface.size}
+    refined = np.copy(poses)
+    for row, near in itertools.product(range(len(poses)), NEAR):
+        reach = max(near * surface.size, FITTING * scan.noise)
+        own = cloud, scan.cloud, tree, refined[row], "PLANE_ICP", reach
+        refined[row] = small_gicp.align(*own, **still).T_target_source
+    scores = _scores(scan, surface, refined, JUDGED[-1], STRICTLY)
+    refined = refined[np.argsort(-scores, kind="stable")]
+    return refined[_distinct(refined, EXACTLY * surface.size)]
 
 
-def _distinct(poses: Poses, apart: float) -> list[int]:
+def rigid(
+    rotations: Float[np.ndarray, "*#H 3 3"], shifts: Float[np.ndarray, "*H 3"]
+) -> Float64[np.ndarray, "*H 4 4"]:
+    """The matrices of turns followed by shifts; one turn may go with many."""
+    motions = np.zeros((*shifts.shape[:-1], 4, 4))
+    motions[..., :3, :3], motions[..., :3, 3], motions[..., 3, 3] = rotations, shifts, 1
+    return motions
+
+
+def _distinct(poses: np.ndarray, apart: float) -> list[int]:
     """Rows of poses that each bring some point elsewhere than all before them do."""
-    laid = 10 * apart * np.eye(4, 3) @ poses.rotations.swapaxes(1, 2)
-    laid += poses.shifts[:, None]
+    corners = np.append(10 * apart * np.eye(4, 3), np.ones((4, 1)), axis=1)
+    laid = corners @ poses.swapaxes(1, 2)
     other = np.abs(laid[:, None] - laid).max(axis=(2, 3)) > apart
     chosen: list[int] = []
     for row in range(len(other)):
@@ -95,7 +80,7 @@ def _distinct(poses: Poses, apart: float) -> list[int]:
     return chosen
 
 
-def by_pairs(scan: Scan, surface: Surface) -> Poses:
+def by_pairs(scan: Scan, surface: Surface) -> Float64[np.ndarray, "H 4 4"]:
     """Poses that lay a pair of the scan's points on a like pair of the model's: those
     first that are like few of them."""
     rng = np.random.default_rng(0)
@@ -113,7 +98,7 @@ def by_pairs(scan: Scan, surface: Surface) -> Poses:
     frames = _frames(own, surface.normals[like[:, 0]].astype(np.float64))
     rotations = frames @ _frames(points[rows], normals[rows, 0]).swapaxes(1, 2)
     middles = np.einsum("hij,hj->hi", rotations, points[rows].mean(axis=1))
-    return Poses(rotations, own.mean(axis=1) - middles)
+    return rigid(rotations, own.mean(axis=1) - middles)
 
 
 def _frames(
@@ -125,7 +110,9 @@ def _frames(
     return np.stack([normals, aside, np.cross(normals, aside)], axis=2)
 
 
-def by_headings(scan: Scan, surface: Surface, up: Float[np.ndarray, "3"]) -> Poses:
+def by_headings(
+    scan: Scan, surface: Surface, up: Float[np.ndarray, "3"]
+) -> Float64[np.ndarray, "H 4 4"]:
     """Upright poses at evenly spaced headings, the box of the scan in the middle of the
     model's or against either side; above or below against that which the sensor sees.
     """
@@ -133,7 +120,7 @@ def by_headings(scan: Scan, surface: Surface, up: Float[np.ndarray, "3"]) -> Pos
     angles = 2 * np.pi * np.arange(HEADINGS)[:, None] / HEADINGS
     view = (scan.eye - scan.middle) / np.linalg.norm(scan.eye - scan.middle)
     box = surface.points.min(axis=0), surface.points.max(axis=0)
-    rotations, shifts = [], []
+    poses = []
     for turn in Rotation.from_euler("z", angles).as_matrix() @ lying:
         turned = (scan.means - scan.middle) @ turn.T
         low, high = box[0] - turned.min(axis=0), box[1] - turned.max(axis=0)
@@ -143,20 +130,20 @@ def by_headings(scan: Scan, surface: Surface, up: Float[np.ndarray, "3"]) -> Pos
             seen = len(sides) == 2 and abs(toward) > TOWARD
             sides.append([upper if toward > 0 else lower] if seen else both)
         found = np.stack(np.meshgrid(*sides, indexing="ij"), axis=-1).reshape(-1, 3)
-        shifts.append(found)
-        rotations.append(np.broadcast_to(turn, (len(found), 3, 3)))
-    return Poses(np.concatenate(rotations), np.concatenate(shifts))
+        poses.append(rigid(turn, found))
+    return np.concatenate(poses)
 
 
 def _scores(
-    scan: Scan, surface: Surface, poses: Poses, count: int, strict: float = 1.0
+    scan: Scan, surface: Surface, poses: np.ndarray, count: int, strict: float = 1.0
 ) -> Float[np.ndarray, " H"]:
     """How well so many points lie on the surface in each pose: 1 if all do, and 0 for
     those out of reach. In single precision."""
     rows = scan.some[:count]
     points = (scan.means[rows] - scan.middle).astype(np.float32)
-    turned = poses.rotations.astype(np.float32).swapaxes(1, 2)
-    laid = points @ turned + poses.shifts[:, None].astype(np.float32)
+    moved = poses.astype(np.float32).swapaxes(1, 2)
+    turned = moved[:, :3, :3]
+    laid = points @ turned + moved[:, 3:, :3]
     near = surface.index(laid)
     offset = laid - surface.points[near]
     reach = strict * max(REACH * surface.size, FITTING * scan.noise)

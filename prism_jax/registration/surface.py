@@ -94,7 +94,7 @@ def surface_of(
     nearest = KDTree(points).query(middles)[1].astype(np.uint16).reshape(shape)
     single = points.astype(np.float32), normals.astype(np.float32)
     grid = nearest, corner, np.array(cell)
-    lengths = widths_of(points), np.sqrt(area / len(points))
+    lengths = widths_of(points), np.asarray(np.sqrt(area / len(points)))
     return Surface(middle, *single, two_sided, *grid, codes, pairs, *lengths)
 
 
