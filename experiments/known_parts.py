@@ -227,6 +227,7 @@ def define_flags() -> None:
     flags.DEFINE_string("weights", "small", "Weights, name or file.")
     flags.DEFINE_string("output", None, "JSON file to write.")
     flags.DEFINE_integer("every", 1, "One part in so many is sought.", 1)
+    flags.DEFINE_integer("first", 0, "The first of them.", 0)
 
 
 def main() -> None:
@@ -235,13 +236,18 @@ def main() -> None:
     completer = Completer.from_pretrained(located(FLAGS.weights))
     parts, rows = parts_of(FLAGS.split), []
     for number, part in enumerate(tqdm(parts, "sought")):
-        if number % FLAGS.every == 0:
+        if number % FLAGS.every == FLAGS.first:
             rng = np.random.default_rng(number)
             order = [i for i in rng.permutation(len(parts)) if i != number]
             others = [parts[i].model for i in itertools.islice(order, SIZES[-1] - 1)]
             rows.append(row_of(completer, part, others))
     rows = [row for row in rows if row]
-    about = {"commit": commit(), "split": FLAGS.split, "models": SIZES[-1]}
+    about = {
+        "commit": commit(),
+        "split": FLAGS.split,
+        "first": FLAGS.first,
+        "models": SIZES[-1],
+    }
     print_and_write({**about, "rows": rows}, summary(rows))
 
 

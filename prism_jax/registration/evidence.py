@@ -21,15 +21,14 @@ NEIGHBORS = 4  # points of the surface, of which one explains a measured point
 FLAT = 1.8  # in spacings of the surface: so far its points stand for their planes
 EVERY = 2  # one of its points in so many tells what is seen of it
 LOOSE = 0.01  # radians, and longest sides
-EXACT = 0.0015  # in longest sides: so far points and poses are exact
 SOME = 4  # points of a cell that say something
 GRAZING = 0.2  # cosine under which nothing is expected of a surface
 BESIDE, APART = 0.04, 3.0
 """In longest sides and in spacings of a scan: nearer to it a surface was measured."""
 TOLERANCE = 0.03  # in longest sides: so much nearer to the sensor is in front
 
-LEAST_FIT, LEAST_COVERED, LEAST_SEEN, MOST_DENIED = 0.925, 0.3, 0.25, 0.05
-MOST_ODD, MOST_STRAIN, MOST_BIAS, AMPLE = 0.012, 1.8, 2.5, 0.5
+LEAST_FIT, LEAST_COVERED, LEAST_SEEN, MOST_DENIED = 0.9, 0.3, 0.25, 0.05
+MOST_ODD, MOST_STRAIN, AMPLE = 0.015, 1.8, 0.5
 """What a model needs to be taken for an object, chosen on validation parts."""
 
 
@@ -42,7 +41,6 @@ class Evidence(NamedTuple):
     denied: float  # and what the sensor looked through
     odd: float  # share of places where most points, or most of the front, are denied
     strain: float  # the square of how far points lie off it, in noise, `FITS` at most
-    bias: float  # of the means of neighbours, in what noise alone would make of them
 
 
 class Match(NamedTuple):
@@ -99,13 +97,12 @@ def match(scan: Scan, surface: Surface, pose: Float[np.ndarray, "4 4"]) -> Match
     pose = rigid(back.T, scan.middle - back.T @ (shift + surface.middle))
     fits = np.abs(gap) <= FITS * scan.noise
     strain = float((np.minimum(np.abs(gap) / scan.noise, FITS) ** 2).mean())
-    badly = strain, _bias(scan, gap, fits, surface.size)
     placed = (surface.points[::EVERY] + surface.middle) @ back + pose[:3, 3]
     beside = max(BESIDE * surface.size, APART * scan.spacing)
     covered = float((KDTree(scan.raw).query(placed)[0] < beside).mean())
     seen, denied, odd = _looked_for(scan, surface, pose, placed)
     fit, odd = float(fits.mean()), max(odd, _odd(scan.cells, ~fits))
-    told = Evidence(fit, covered, seen, denied, odd, *badly)
+    told = Evidence(fit, covered, seen, denied, odd, strain)
     return Match(pose, covariance, scan.noise, told)
 
 
@@ -133,19 +130,6 @@ def _odd(owner: np.ndarray, wrong: np.ndarray) -> float:
     """The share of cells with some points in which most points are wrong."""
     count, most = np.bincount(owner), 2 * np.bincount(owner, wrong)
     return float((most > count)[count >= SOME].mean()) if (count >= SOME).any() else 0.0
-
-
-def _bias(scan: Scan, gap: np.ndarray, fits: np.ndarray, size: float) -> float:
-    """The square of how far neighbours lie from the model on average, in what noise
-    alone makes of it: about 1 for the right model, more where the shape is another."""
-    if not fits.any():
-        return FITS**2
-    owner, gap = scan.cells[fits], gap[fits]
-    count = np.bincount(owner)
-    total = np.bincount(owner, gap)[count > 0]
-    count = count[count > 0]
-    usual = count * scan.noise**2 + (count * EXACT * size) ** 2
-    return float(np.minimum(total**2 / usual, FITS**2).mean())
 
 
 def _looked_for(
@@ -195,7 +179,6 @@ def doubt(told: Evidence) -> str | None:
     if told.seen < LEAST_SEEN:
         return f"{told.seen:.0%} of its front was measured"
     # The less of it was seen, the better must it fit.
-    share = min(1.0, told.seen / AMPLE)
-    if told.strain > share * MOST_STRAIN or told.bias > share * MOST_BIAS:
+    if told.strain > min(1.0, told.seen / AMPLE) * MOST_STRAIN:
         return "its shape differs by more than the noise"
     return None

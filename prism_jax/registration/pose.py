@@ -14,7 +14,7 @@ HYPOTHESES, PER_PAIR = 3000, 12  # poses by pairs, and at most of one pair of th
 HEADINGS = 36
 TOWARD = 0.3  # cosine over which a sensor sees a side of a box
 JUDGED, KEPT = (32, 200), 150  # points that judge poses in turn, and what they keep
-REFINED = 12  # poses
+TRIED, REFINED = 3, 12  # poses of any model, and of those that are looked at closely
 REACH = 0.06  # of a model's point, in longest sides, in the search
 STRICTLY = 0.5  # of this reach, for what was refined
 NEAR = 0.1, 0.03, 0.01  # in longest sides: what is refined, step by step
@@ -26,19 +26,18 @@ STILL = 1e-3  # in radians and in longest sides: a smaller step of a refinement 
 
 def search(
     scan: Scan, surface: Surface, up: Float[np.ndarray, "3"]
-) -> tuple[Float64[np.ndarray, "H 4 4"], Float[np.ndarray, " H"]]:
-    """Rough poses of a model in a scan, each another, best first, and how well the
-    points lie on the model in each: 1 if all do. The model may stand upright, its z
-    along `up` in the scan's frame, or lie anyhow. Poses lead from the scan's frame,
-    about its middle, to the surface's."""
+) -> tuple[Float64[np.ndarray, "H 4 4"], float]:
+    """Rough poses of a model in a scan, each another, likeliest first, and how well the
+    points lie on it in the best of some that are refined: 1 if all do. The model may
+    stand upright, its z along `up` in the scan's frame, or lie anyhow. Poses lead from
+    the scan's frame, about its middle, to the surface's."""
     poses = np.concatenate([by_pairs(scan, surface), by_headings(scan, surface, up)])
-    scores = np.zeros(0)
     for count in JUDGED:
         scores = _scores(scan, surface, poses, count)
-        order = np.argsort(-scores, kind="stable")[:KEPT]
-        poses, scores = poses[order], scores[order]
-    chosen = _distinct(poses, ROUGHLY * surface.size)[:REFINED]
-    return poses[chosen], scores[chosen]
+        poses = poses[np.argsort(-scores, kind="stable")[:KEPT]]
+    poses = poses[_distinct(poses, ROUGHLY * surface.size)[:REFINED]]
+    best = refine(scan, surface, poses[:TRIED])[:1]
+    return poses, float(_scores(scan, surface, best, JUDGED[-1], STRICTLY)[0])
 
 
 def refine(
