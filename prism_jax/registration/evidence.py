@@ -16,7 +16,7 @@ from prism_jax.registration.scan import COARSE_CELLS, Scan
 from prism_jax.registration.surface import Surface, foremost
 
 FITS = 3.0  # in the sensor's noise: nearer points lie on the model
-NEAR = 0.01  # in longest sides: what the last step of a pose takes into account
+STEPS, NEAR = 3, 0.01  # the last ones of a pose, and what they see, in longest sides
 NEIGHBORS = 4  # points of the surface, of which one explains a measured point
 FLAT = 1.8  # in spacings of the surface: so far its points stand for their planes
 EVERY = 2  # one of its points in so many tells what is seen of it
@@ -77,23 +77,24 @@ class Match(NamedTuple):
 
 
 def match(scan: Scan, surface: Surface, pose: Float[np.ndarray, "4 4"]) -> Match:
-    """A pose of the search after a last step by all points, and what speaks for it."""
+    """A pose of the search after last steps by all points, and what speaks for it."""
     back, shift = pose[:3, :3], pose[:3, 3]
-    gap, laid, rows = _gaps(scan, surface, back, shift)
     reach = max(NEAR * surface.size, FITS * scan.noise)
-    weights = np.maximum(1 - (gap / reach) ** 2, 0) / scan.noise**2
-    normals = surface.normals[rows].astype(np.float64)
-    slopes = np.concatenate([np.cross(laid, normals), normals], axis=1)
-    offsets = np.einsum("si,si->s", laid - surface.points[rows], normals)
     # What no point tells, as where along a plane it lies, is known to about `LOOSE`.
     loose = LOOSE * np.array([1.0] * 3 + [surface.size] * 3)
-    covariance = np.linalg.inv(
-        slopes.T @ (weights[:, None] * slopes) + np.diag(loose**-2)
-    )
-    motion = -covariance @ slopes.T @ (weights * offsets)
-    turn = Rotation.from_rotvec(motion[:3]).as_matrix()
-    back, shift = turn @ back, turn @ shift + motion[3:]
-    gap, _, _ = _gaps(scan, surface, back, shift)
+    covariance = np.diag(loose**2)
+    gap, laid, rows = _gaps(scan, surface, back, shift)
+    for _ in range(STEPS):
+        weights = np.maximum(1 - (gap / reach) ** 2, 0) / scan.noise**2
+        normals = surface.normals[rows].astype(np.float64)
+        slopes = np.concatenate([np.cross(laid, normals), normals], axis=1)
+        squares = slopes.T @ (weights[:, None] * slopes)
+        covariance = np.linalg.inv(squares + np.diag(loose**-2))
+        offsets = np.einsum("si,si->s", laid - surface.points[rows], normals)
+        motion = -covariance @ slopes.T @ (weights * offsets)
+        turn = Rotation.from_rotvec(motion[:3]).as_matrix()
+        back, shift = turn @ back, turn @ shift + motion[3:]
+        gap, laid, rows = _gaps(scan, surface, back, shift)
     pose = rigid(back.T, scan.middle - back.T @ (shift + surface.middle))
     fits = np.abs(gap) <= FITS * scan.noise
     strain = float((np.minimum(np.abs(gap) / scan.noise, FITS) ** 2).mean())
