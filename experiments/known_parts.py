@@ -85,14 +85,14 @@ def meshes_of(split: str) -> Iterator[tuple[str, str, trimesh.Trimesh]]:
         side = np.exp(rng.uniform(*np.log(SIDES)))
         mesh.apply_scale(side / np.ptp(mesh.vertices, axis=0).max())
         yield f"composition {number}", "compositions", mesh
-    arms = ARMS["test"] if split == "test" else ARMS["train"] + ARMS["validation"]
-    for arm in arms:
+    splits = ["test"] if split == "test" else ["train", "validation"]
+    for arm in itertools.chain(*(ARMS[name] for name in splits)):
         robot = Robot(arm)
         for name, mesh in zip(robot.link_names, robot.meshes, strict=True):
             _, middle, longest = np.sort(np.ptp(mesh.vertices, axis=0))
             if longest > SMALL and middle > THIN:
                 yield f"{arm.name} {name}", "links of arms", mesh
-    for model, _ in survey([split]).models:
+    for model, _ in survey(splits).models:
         yield model.identity, "furniture", model.load().apply_scale(CENTIMETRES)
 
 
@@ -199,8 +199,10 @@ def row_of(completer: Completer, part: Part, others: list[Model]) -> dict[str, A
 
 def summary(rows: list[dict[str, Any]]) -> str:
     """The tables: views, those that measured enough, of these the right ones, of all
-    those taken for another part if theirs is not there, and CD-L2 of the right ones."""
-    head = ["parts", "views", "a third measured", "right", "false", "network", "known"]
+    those in a wrong pose or taken for another part, the latter also if theirs is not
+    there, and CD-L2 of the right ones."""
+    head = ["parts", "views", "a third measured", "right", "wrong", "false"]
+    head += ["network", "known"]
     cells = []
     groups = [("group", name) for name in dict.fromkeys(r["group"] for r in rows)]
     for field, name in [*groups, *(("kind", kind) for kind in KINDS), ("", "all")]:
@@ -208,9 +210,10 @@ def summary(rows: list[dict[str, Any]]) -> str:
         large = [row for row in own if row["share"] > ENOUGH]
         if large:
             right = [row["cd_l2"] for row in large if row["right"]]
-            false = np.mean([row["false"] for row in own])
+            named = [row["named"] is not None and not row["right"] for row in own]
+            wrong, false = np.mean(named), np.mean([row["false"] for row in own])
             told = [name, str(len(own)), str(len(large))]
-            told += [f"{len(right) / len(large):.1%}", f"{false:.1%}"]
+            told += [f"{one:.1%}" for one in (len(right) / len(large), wrong, false)]
             cells.append(told + [f"{cd:.4g}" for cd in np.mean(right, axis=0)])
     seconds = np.median([row["seconds"] for row in rows], axis=0)
     sizes = [

@@ -21,6 +21,7 @@ FAR_FROM_ORIGIN = 8.0
 """A mesh whose centre is more radii away than this is moved to the origin for Embree,
 for the sake of float32."""
 MIN_SEEN = 1e-3
+MOST_DRAWN = 2**17  # points at once, which are few GB
 
 
 class Hits(NamedTuple):
@@ -146,6 +147,7 @@ def sample_outside(
     drawn, seen_of_drawn = 0, 0
     while missing > 0:
         draw = int(missing * max(drawn, 1) / max(seen_of_drawn, 1)) + 1
+        draw = min(draw, MOST_DRAWN)
         faces = np.searchsorted(cumulative, rng.random(draw) * cumulative[-1], "right")
         faces = np.minimum(faces, len(cumulative) - 1)
         u, v = rng.random((2, draw, 1))

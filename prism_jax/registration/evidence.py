@@ -27,8 +27,8 @@ BESIDE, APART = 0.04, 3.0
 """In longest sides and in spacings of a scan: nearer to it a surface was measured."""
 TOLERANCE = 0.03  # in longest sides: so much nearer to the sensor is in front
 
-LEAST_FIT, LEAST_COVERED, LEAST_SEEN, MOST_DENIED = 0.9, 0.3, 0.25, 0.05
-MOST_ODD, MOST_STRAIN, AMPLE = 0.015, 1.8, 0.5
+LEAST_FIT, LEAST_COVERED, LEAST_SEEN, MOST_DENIED = 0.9, 0.33, 0.4, 0.05
+MOST_ODD, MOST_STRAIN, MOST_PLAY = 0.015, 1.8, 0.004
 """What a model needs to be taken for an object, chosen on validation parts."""
 
 
@@ -41,6 +41,7 @@ class Evidence(NamedTuple):
     denied: float  # and what the sensor looked through
     odd: float  # share of places where most points, or most of the front, are denied
     strain: float  # the square of how far points lie off it, in noise, `FITS` at most
+    play: float  # by which its surface may lie elsewhere, in longest sides
 
 
 class Match(NamedTuple):
@@ -68,11 +69,8 @@ class Match(NamedTuple):
     ) -> tuple[Float64[np.ndarray, "M 3"], Float64[np.ndarray, " M"]]:
         """The surface's points where they lie in the scan, and the distance by which
         each is expected to miss what the sensor measures there."""
-        arms = np.cross(surface.points, surface.normals)
-        slopes = np.concatenate([arms, surface.normals], axis=1)
-        variance = np.einsum("ni,ij,nj->n", slopes, self.covariance, slopes)
         points = (surface.points + surface.middle) @ self.pose[:3, :3].T
-        sigma = np.sqrt(2 / np.pi * (variance + self.noise**2))
+        sigma = np.sqrt(2 / np.pi * (_play(surface, self.covariance) + self.noise**2))
         return points + self.pose[:3, 3], sigma
 
 
@@ -103,8 +101,16 @@ def match(scan: Scan, surface: Surface, pose: Float[np.ndarray, "4 4"]) -> Match
     covered = float((KDTree(scan.raw).query(placed)[0] < beside).mean())
     seen, denied, odd = _looked_for(scan, surface, pose, placed)
     fit, odd = float(fits.mean()), max(odd, _odd(scan.cells, ~fits))
-    told = Evidence(fit, covered, seen, denied, odd, strain)
+    play = float(np.sqrt(_play(surface, covariance).mean()) / surface.size)
+    told = Evidence(fit, covered, seen, denied, odd, strain, play)
     return Match(pose, covariance, scan.noise, told)
+
+
+def _play(surface: Surface, covariance: np.ndarray) -> np.ndarray:
+    """Variance of the places of its points, along their normals."""
+    arms = np.cross(surface.points, surface.normals)
+    slopes = np.concatenate([arms, surface.normals], axis=1)
+    return np.einsum("ni,ij,nj->n", slopes, covariance, slopes)
 
 
 def _gaps(
@@ -179,7 +185,8 @@ def doubt(told: Evidence) -> str | None:
         return f"something else is at {told.odd:.1%} of its places"
     if told.seen < LEAST_SEEN:
         return f"{told.seen:.0%} of its front was measured"
-    # The less of it was seen, the better must it fit.
-    if told.strain > min(1.0, told.seen / AMPLE) * MOST_STRAIN:
+    if told.strain > MOST_STRAIN:
         return "its shape differs by more than the noise"
+    if told.play > MOST_PLAY:
+        return "what was measured does not tell its pose"
     return None

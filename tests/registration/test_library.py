@@ -11,8 +11,10 @@ from experiments.simulation.raycast import Scene
 from experiments.simulation.readings import camera_rays
 from prism_jax.io.errors import InputError
 from prism_jax.preprocessing.visibility_map import seen_among
-from prism_jax.registration import library, surface
+from prism_jax.registration import evidence, library, surface
 from prism_jax.registration.library import Library, Model
+from prism_jax.registration.pose import refine, rigid
+from prism_jax.registration.scan import Scan
 from prism_jax.registration.surface import surface_of
 
 EYE = np.array([1.2, 0.9, 0.8])
@@ -100,6 +102,21 @@ def test_a_part_is_found_in_its_pose(known, name, mesh):
     again = known.find(points, EYE)
     assert again.match.pose.tobytes() == found.match.pose.tobytes()
     assert again.refused == found.refused
+
+
+def test_poses_near_the_true_one_become_it(parts):
+    points, pose = scan(BRACKET)
+    seen, surface = Scan(points, EYE), parts["bracket"].surface
+    back = pose[:3, :3].T
+    true = rigid(back, back @ (seen.middle - pose[:3, 3]) - surface.middle)
+    rng = np.random.default_rng(0)
+    turns = Rotation.from_rotvec(rng.normal(0, 0.03, (6, 3))).as_matrix()
+    refined = refine(seen, surface, rigid(turns, rng.normal(0, 0.008, (6, 3))) @ true)
+    assert len(refined) == 1
+    np.testing.assert_allclose(refined[0], true, atol=0.005)
+    found = evidence.match(seen, surface, refined[0])
+    np.testing.assert_allclose(found.pose, pose, atol=0.002)
+    np.testing.assert_allclose(found.poses(seen, surface)[0], true, atol=0.005)
 
 
 def test_what_is_no_part_is_none(parts):
