@@ -27,7 +27,7 @@ from prism_jax.robots.urdf import MESH_SUFFIXES, Linkage, read_mesh
 VERSION = 6  # of what is kept in the cache
 UNITS = {"m": 1.0, "cm": 0.01, "mm": 0.001, "in": 0.0254}
 ROBOTS, METRIC = (".urdf", ".xacro"), (".urdf", ".xacro", ".glb")
-VERIFIED, POSES = 6, 4  # models that are looked at closely, and poses of each
+VERIFIED, POSES = 10, 4  # models that are looked at closely, and poses of each
 EQUAL = 0.03  # of the score: two models nearer than this explain an object equally
 ALIKE = 0.02  # in longest sides: two surfaces nearer than this are the same
 FAR = 100.0  # times as large or as small as an object: of another unit
