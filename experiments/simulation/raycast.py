@@ -21,7 +21,7 @@ FAR_FROM_ORIGIN = 8.0
 """A mesh whose centre is more radii away than this is moved to the origin for Embree,
 for the sake of float32."""
 MIN_SEEN = 1e-3
-MOST_DRAWN = 2**17  # points at once, which are few GB
+MOST_DRAWN = 2**17  # points at once: memory, where little is seen
 
 
 class Hits(NamedTuple):
