@@ -28,7 +28,7 @@ BESIDE, APART = 0.04, 3.0
 TOLERANCE = 0.03  # in longest sides: so much nearer to the sensor is in front
 
 LEAST_FIT, LEAST_COVERED, LEAST_SEEN, MOST_DENIED = 0.9, 0.33, 0.4, 0.05
-MOST_ODD, MOST_STRAIN, MOST_PLAY = 0.015, 1.8, 0.004
+MOST_ODD, MOST_STRAIN, MOST_PLAY = 0.015, 1.8, 0.007
 """What a model needs to be taken for an object, chosen on validation parts."""
 
 
