@@ -119,6 +119,19 @@ def test_poses_near_the_true_one_become_it(parts):
     np.testing.assert_allclose(found.poses(seen, surface)[0], true, atol=0.005)
 
 
+def test_a_pose_that_one_face_does_not_tell_is_refused(parts):
+    """Two faces tell it well enough, though they slide along their edge."""
+    surface, rng, doubts = parts["crate"].surface, np.random.default_rng(0), []
+    for axes in ([2], [1, 2]):
+        points = rng.uniform(-0.5, 0.5, (1200, 3))
+        points[np.arange(1200), rng.choice(axes, 1200)] = 0.5
+        seen = Scan(points * CRATE.extents, EYE)
+        pose = rigid(np.eye(3), seen.middle - surface.middle)
+        told = evidence.match(seen, surface, pose).evidence._replace(covered=1.0)
+        doubts.append(evidence.doubt(told))
+    assert doubts == ["what was measured does not tell its pose", None]
+
+
 def test_what_is_no_part_is_none(parts):
     points, _ = scan(BRACKET, rotation=Rotation.identity())
     others = Library([parts[name] for name in ("mirrored", "crate", "drum")])
