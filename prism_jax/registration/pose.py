@@ -35,9 +35,10 @@ def search(
     for count in JUDGED:
         scores = _scores(scan, surface, poses, count)
         poses = poses[np.argsort(-scores, kind="stable")[:KEPT]]
-    poses = poses[_distinct(poses, ROUGHLY * surface.size)[:REFINED]]
-    best = refine(scan, surface, poses[:TRIED])[:1]
-    return poses, float(_scores(scan, surface, best, JUDGED[-1], STRICTLY)[0])
+    poses = poses[_distinct(poses, surface.size, ROUGHLY)[:REFINED]]
+    tried = refine(scan, surface, poses[:TRIED])
+    score = float(_scores(scan, surface, tried[:1], JUDGED[-1], STRICTLY)[0])
+    return np.concatenate([tried, poses[TRIED:]]), score
 
 
 def refine(
@@ -55,7 +56,7 @@ def refine(
         refined[row] = small_gicp.align(*own, **still).T_target_source
     scores = _scores(scan, surface, refined, JUDGED[-1], STRICTLY)
     refined = refined[np.argsort(-scores, kind="stable")]
-    return refined[_distinct(refined, EXACTLY * surface.size)]
+    return refined[_distinct(refined, surface.size, EXACTLY)]
 
 
 def rigid(
@@ -67,11 +68,12 @@ def rigid(
     return motions
 
 
-def _distinct(poses: np.ndarray, apart: float) -> list[int]:
-    """Rows of poses that each bring some point elsewhere than all before them do."""
-    corners = np.append(10 * apart * np.eye(4, 3), np.ones((4, 1)), axis=1)
+def _distinct(poses: np.ndarray, size: float, near: float) -> list[int]:
+    """Rows of poses of which each brings a point of an object of this size farther than
+    `near`, in sizes, from where all before it do."""
+    corners = np.append(0.5 * size * np.eye(4, 3), np.ones((4, 1)), axis=1)
     laid = corners @ poses.swapaxes(1, 2)
-    other = np.abs(laid[:, None] - laid).max(axis=(2, 3)) > apart
+    other = np.abs(laid[:, None] - laid).max(axis=(2, 3)) > near * size
     chosen: list[int] = []
     for row in range(len(other)):
         if other[row, chosen].all():
