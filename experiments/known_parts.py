@@ -155,7 +155,7 @@ def error_of(found: Found, seen: Seen) -> float:
         KDTree(points).query(seen.complete)[0],
     )
     most = max(np.quantile(one, 0.98) for one in away)
-    return float(max(most - surface.spacing, 0.0) / surface.size)
+    return float(max(most - surface.spacing(len(points)), 0.0) / surface.size)
 
 
 def cd_l2(points: np.ndarray, complete: np.ndarray) -> float:

@@ -13,13 +13,13 @@ from prism_jax.preprocessing.segmentation.clusters import thin
 from prism_jax.preprocessing.visibility_map import in_free_space
 from prism_jax.registration.pose import rigid
 from prism_jax.registration.scan import COARSE_CELLS, Scan
-from prism_jax.registration.surface import Surface, foremost
+from prism_jax.registration.surface import FEW, Surface, foremost
 
 FITS = 3.0  # in the sensor's noise: nearer points lie on the model
-STEPS, NEAR = 3, 0.01  # the last ones of a pose, and what they see, in longest sides
-NEIGHBORS = 4  # points of the surface, of which one explains a measured point
+STEPS, NEAR = 4, 0.01  # the last ones of a pose, and what they see, in longest sides
+NEIGHBORS = 8  # points of the surface, of which one explains a measured point
 FLAT = 1.8  # in spacings of the surface: so far its points stand for their planes
-EVERY = 2  # one of its points in so many tells what is seen of it
+SHOWN = 5000  # of its points tell what is seen of it
 LOOSE = 0.01  # radians, and longest sides
 SOME = 4  # points of a cell that say something
 GRAZING = 0.2  # cosine under which nothing is expected of a surface
@@ -69,7 +69,7 @@ class Match(NamedTuple):
     ) -> tuple[Float64[np.ndarray, "M 3"], Float64[np.ndarray, " M"]]:
         """The surface's points where they lie in the scan, and the distance by which
         each is expected to miss what the sensor measures there."""
-        points = (surface.points + surface.middle) @ self.pose[:3, :3].T
+        points = (surface.points[:FEW] + surface.middle) @ self.pose[:3, :3].T
         sigma = np.sqrt(2 / np.pi * (_play(surface, self.covariance) + self.noise**2))
         return points + self.pose[:3, 3], sigma
 
@@ -81,8 +81,8 @@ def match(scan: Scan, surface: Surface, pose: Float[np.ndarray, "4 4"]) -> Match
     # What no point tells, as where along a plane it lies, is known to about `LOOSE`.
     loose = LOOSE * np.array([1.0] * 3 + [surface.size] * 3)
     covariance = np.diag(loose**2)
-    gap, laid, rows = _gaps(scan, surface, back, shift)
     for _ in range(STEPS):
+        gap, laid, rows = _gaps(scan, surface, back, shift, reach)
         weights = np.maximum(1 - (gap / reach) ** 2, 0) / scan.noise**2
         normals = surface.normals[rows].astype(np.float64)
         slopes = np.concatenate([np.cross(laid, normals), normals], axis=1)
@@ -92,11 +92,11 @@ def match(scan: Scan, surface: Surface, pose: Float[np.ndarray, "4 4"]) -> Match
         motion = -covariance @ slopes.T @ (weights * offsets)
         turn = Rotation.from_rotvec(motion[:3]).as_matrix()
         back, shift = turn @ back, turn @ shift + motion[3:]
-        gap, laid, rows = _gaps(scan, surface, back, shift)
+    gap, laid, rows = _gaps(scan, surface, back, shift)
     pose = rigid(back.T, scan.middle - back.T @ (shift + surface.middle))
     fits = np.abs(gap) <= FITS * scan.noise
     strain = float((np.minimum(np.abs(gap) / scan.noise, FITS) ** 2).mean())
-    placed = (surface.points[::EVERY] + surface.middle) @ back + pose[:3, 3]
+    placed = (surface.points[:SHOWN] + surface.middle) @ back + pose[:3, 3]
     beside = max(BESIDE * surface.size, APART * scan.spacing)
     covered = float((KDTree(scan.raw).query(placed)[0] < beside).mean())
     seen, denied, odd = _looked_for(scan, surface, pose, placed)
@@ -107,28 +107,28 @@ def match(scan: Scan, surface: Surface, pose: Float[np.ndarray, "4 4"]) -> Match
 
 
 def _play(surface: Surface, covariance: np.ndarray) -> np.ndarray:
-    """Variance of the places of its points, along their normals."""
-    arms = np.cross(surface.points, surface.normals)
-    slopes = np.concatenate([arms, surface.normals], axis=1)
+    """Variance of the places of few of its points, along their normals."""
+    normals = surface.normals[:FEW]
+    slopes = np.append(np.cross(surface.points[:FEW], normals), normals, axis=1)
     return np.einsum("ni,ij,nj->n", slopes, covariance, slopes)
 
 
 def _gaps(
-    scan: Scan, surface: Surface, back: np.ndarray, shift: np.ndarray
+    scan: Scan, surface: Surface, back: np.ndarray, shift: np.ndarray, far: float = 0.0
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """How far points lie before the surface that faces the sensor, negative behind it,
-    in one pose; where they lie, and the rows of the surface that are nearest."""
+    in one pose; where they lie, and the rows of the surface that are nearest. A back
+    counts as so `far` behind its front."""
     laid, seen_from = ((p - scan.middle) @ back.T + shift for p in (scan.raw, scan.eye))
-    near, squares = surface.cloud[1].batch_knn_search(laid, NEIGHBORS)
+    near, squares = surface.tree.batch_knn_search(laid, NEIGHBORS)
     offset, normals = laid[:, None] - surface.points[near], surface.normals[near]
     gap = np.einsum("ski,ski->sk", offset, normals)
     toward = np.einsum("si,ski->sk", seen_from - laid, normals) > 0
-    beside = squares - gap**2 > (FLAT * surface.spacing) ** 2
-    gap = np.where(toward, 1, -1) * np.where(
-        beside, np.copysign(np.sqrt(squares), gap), gap
-    )
+    beside = squares - gap**2 > (FLAT * surface.spacing(len(surface.points))) ** 2
+    gap = np.where(beside, np.copysign(np.sqrt(squares), gap), gap)
+    gap *= np.where(toward, 1, -1)
     gap[~(toward | surface.two_sided[near])] = np.inf
-    best = np.abs(gap).argmin(axis=1)[:, None]
+    best = (np.abs(gap) + far * ~toward).argmin(axis=1)[:, None]
     gap, rows = (np.take_along_axis(of, best, 1)[:, 0] for of in (gap, near))
     return gap, laid, rows
 
@@ -148,16 +148,16 @@ def _looked_for(
     where a sensor stood."""
     if scan.visibility is None:
         return 1.0, 0.0, 0.0
-    normals = surface.normals[::EVERY] @ pose[:3, :3].T
+    normals = surface.normals[:SHOWN] @ pose[:3, :3].T
     rays = scan.eye - points
     away = np.linalg.norm(rays, axis=1)
     facing = np.einsum("ij,ij->i", normals, rays) / away
-    facing = np.where(surface.two_sided[::EVERY], np.abs(facing), facing)
+    facing = np.where(surface.two_sided[:SHOWN], np.abs(facing), facing)
     seen_from = np.asarray(scan.visibility.camera.to_camera(points))
     depth = seen_from[:, 2]
     expected = (facing > GRAZING) & (depth > MIN_DEPTH)
     image = away.mean() * seen_from[:, :2] / np.maximum(depth, MIN_DEPTH)[:, None]
-    spacing = surface.spacing * np.sqrt(EVERY)
+    spacing = surface.spacing(len(points))
     image = np.clip(image, -1e3 * spacing, 1e3 * spacing)
     points = points[expected & foremost(image, away, spacing)]
     reach = max(TOLERANCE * surface.size, FITS * scan.noise)

@@ -24,7 +24,7 @@ from prism_jax.registration.scan import Scan
 from prism_jax.registration.surface import Surface, surface_of
 from prism_jax.robots.urdf import MESH_SUFFIXES, Linkage, read_mesh
 
-VERSION = 6  # of what is kept in the cache
+VERSION = 7  # of what is kept in the cache
 UNITS = {"m": 1.0, "cm": 0.01, "mm": 0.001, "in": 0.0254}
 ROBOTS, METRIC = (".urdf", ".xacro"), (".urdf", ".xacro", ".glb")
 VERIFIED, POSES = 10, 4  # models that are looked at closely, and poses of each
@@ -179,8 +179,8 @@ def _decided(sound: list[tuple[Model, Match]], refused: dict[str, str]) -> Found
 
 def _alike(one: Model, match: Match, other: Model, its: Match) -> bool:
     """Whether two models are the same surface where they were found."""
-    near = ALIKE * one.surface.size + one.surface.spacing
     placed = match.placed(one.surface)[0], its.placed(other.surface)[0]
+    near = ALIKE * one.surface.size + one.surface.spacing(len(placed[0]))
     both = placed, placed[::-1]
     away = [np.quantile(KDTree(own).query(points)[0], 0.99) for own, points in both]
     return bool(max(away) <= near)

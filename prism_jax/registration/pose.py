@@ -27,10 +27,9 @@ STILL = 1e-3  # in radians and in longest sides: a smaller step of a refinement 
 def search(
     scan: Scan, surface: Surface, up: Float[np.ndarray, "3"]
 ) -> tuple[Float64[np.ndarray, "H 4 4"], float]:
-    """Rough poses of a model in a scan, each another, likeliest first, and how well the
-    points lie on it in the best of some that are refined: 1 if all do. The model may
-    stand upright, its z along `up` in the scan's frame, or lie anyhow. Poses lead from
-    the scan's frame, about its middle, to the surface's."""
+    """Different poses of a model in a scan, likeliest first, and how well the points
+    lie on it in the best: 1 if all do. It may stand upright, its z along `up`, or lie
+    anyhow. Poses lead from the scan's frame, about its middle, to the surface's."""
     poses = np.concatenate([by_pairs(scan, surface), by_headings(scan, surface, up)])
     for count in JUDGED:
         scores = _scores(scan, surface, poses, count)

@@ -10,7 +10,8 @@ from scipy.spatial import KDTree
 
 from prism_jax.io.errors import require
 
-DRAWN, KEPT = 60_000, 10_000  # points of all surface, and of what is seen from outside
+DRAWN, KEPT = 150_000, 30_000  # points of all surface, and of what is seen from outside
+FEW = 10_000  # the first of them, for all but the distances of measured points
 CELLS = 48  # of a grid along the longest side
 BESIDE = 0.15  # in longest sides: so much farther does the grid reach
 NUM_PAIRED = 300  # points that make pairs
@@ -37,18 +38,28 @@ class Surface:
     codes: UInt16[np.ndarray, " P"]
     pairs: UInt16[np.ndarray, "P 2"]
     widths: Float64[np.ndarray, " D"]  # in many directions, in rising order
-    spacing: Float64[np.ndarray, ""]  # usual distance of its points
+    area: Float64[np.ndarray, ""]  # of what is seen
 
     @functools.cached_property
     def size(self) -> float:
         """The longest side of its box."""
         return float(np.ptp(self.points, axis=0).max())
 
+    def spacing(self, count: int) -> float:
+        """Usual distance of so many points of it."""
+        return float(np.sqrt(self.area / count))
+
+    @functools.cached_property
+    def tree(self) -> Any:
+        """Of all points, as small_gicp has it."""
+        small_gicp = require("small_gicp", "cad")
+        return small_gicp.KdTree(small_gicp.PointCloud(self.points.astype(np.float64)))
+
     @functools.cached_property
     def cloud(self) -> tuple[Any, Any]:
-        """Its points with normals, and their tree, as small_gicp has them."""
+        """Few points with normals, and their tree, as small_gicp has them."""
         small_gicp = require("small_gicp", "cad")
-        cloud = small_gicp.PointCloud(self.points.astype(np.float64))
+        cloud = small_gicp.PointCloud(self.points[:FEW].astype(np.float64))
         tree = small_gicp.KdTree(cloud)
         small_gicp.estimate_normals_covariances(cloud, tree)
         return cloud, tree
@@ -79,23 +90,22 @@ def surface_of(
     seen = np.flatnonzero((front > 0) | (back > 0))
     if len(seen) < 100:
         raise ValueError("nothing of it is seen from outside")
-    area = mesh.area * len(seen) / DRAWN
+    area = np.asarray(mesh.area * len(seen) / DRAWN)
     seen = seen[:KEPT]
     front, back, points = front[seen], back[seen], points[seen]
     normals = np.where((front >= back)[:, None], normals[seen], -normals[seen])
     two_sided = np.minimum(front, back) > BACK * np.maximum(front, back)
-    codes, pairs = _pairs(points, normals)
+    codes, pairs = _pairs(points[:FEW], normals[:FEW])
     extents = np.ptp(points, axis=0)
     beside = BESIDE * extents.max()
     cell = (extents.max() + 2 * beside) / CELLS
     corner = points.min(axis=0) - beside
     shape = np.ceil((extents + 2 * beside) / cell).astype(int)
     middles = corner + cell * (np.indices(shape).reshape(3, -1).T + 0.5)
-    nearest = KDTree(points).query(middles)[1].astype(np.uint16).reshape(shape)
-    single = points.astype(np.float32), normals.astype(np.float32)
+    nearest = KDTree(points[:FEW]).query(middles)[1].astype(np.uint16).reshape(shape)
     grid = nearest, corner, np.array(cell)
-    lengths = widths_of(points), np.asarray(np.sqrt(area / len(points)))
-    return Surface(middle, *single, two_sided, *grid, codes, pairs, *lengths)
+    single = points.astype(np.float32), normals.astype(np.float32), two_sided
+    return Surface(middle, *single, *grid, codes, pairs, widths_of(points[:FEW]), area)
 
 
 def widths_of(points: Float[np.ndarray, "N 3"], share: float = 0.0) -> np.ndarray:
