@@ -17,6 +17,7 @@ from prism_jax.registration.surface import FEW, Surface, foremost
 
 FITS = 3.0  # in the sensor's noise: nearer points lie on the model
 STEPS, NEAR = 4, 0.01  # the last ones of a pose, and what they see, in longest sides
+EVERY = 3  # one measured point in so many guides them
 NEIGHBORS = 8  # points of the surface, of which one explains a measured point
 FLAT = 1.8  # in spacings of the surface: so far its points stand for their planes
 SHOWN = 5000  # of its points tell what is seen of it
@@ -75,15 +76,14 @@ class Match(NamedTuple):
 
 
 def match(scan: Scan, surface: Surface, pose: Float[np.ndarray, "4 4"]) -> Match:
-    """A pose of the search after last steps by all points, and what speaks for it."""
-    back, shift = pose[:3, :3], pose[:3, 3]
+    """A pose of the search after its last steps, and what speaks for it."""
     reach = max(NEAR * surface.size, FITS * scan.noise)
     # What no point tells, as where along a plane it lies, is known to about `LOOSE`.
     loose = LOOSE * np.array([1.0] * 3 + [surface.size] * 3)
     covariance = np.diag(loose**2)
     for _ in range(STEPS):
-        gap, laid, rows = _gaps(scan, surface, back, shift, reach)
-        weights = np.maximum(1 - (gap / reach) ** 2, 0) / scan.noise**2
+        gap, laid, rows = _gaps(scan, surface, pose, EVERY, reach)
+        weights = EVERY * np.maximum(1 - (gap / reach) ** 2, 0) / scan.noise**2
         normals = surface.normals[rows].astype(np.float64)
         slopes = np.concatenate([np.cross(laid, normals), normals], axis=1)
         squares = slopes.T @ (weights[:, None] * slopes)
@@ -91,8 +91,9 @@ def match(scan: Scan, surface: Surface, pose: Float[np.ndarray, "4 4"]) -> Match
         offsets = np.einsum("si,si->s", laid - surface.points[rows], normals)
         motion = -covariance @ slopes.T @ (weights * offsets)
         turn = Rotation.from_rotvec(motion[:3]).as_matrix()
-        back, shift = turn @ back, turn @ shift + motion[3:]
-    gap, laid, rows = _gaps(scan, surface, back, shift)
+        pose = rigid(turn, motion[3:]) @ pose
+    gap = _gaps(scan, surface, pose)[0]
+    back, shift = pose[:3, :3], pose[:3, 3]
     pose = rigid(back.T, scan.middle - back.T @ (shift + surface.middle))
     fits = np.abs(gap) <= FITS * scan.noise
     strain = float((np.minimum(np.abs(gap) / scan.noise, FITS) ** 2).mean())
@@ -114,12 +115,12 @@ def _play(surface: Surface, covariance: np.ndarray) -> np.ndarray:
 
 
 def _gaps(
-    scan: Scan, surface: Surface, back: np.ndarray, shift: np.ndarray, far: float = 0.0
+    scan: Scan, surface: Surface, pose: np.ndarray, every: int = 1, far: float = 0.0
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """How far points lie before the surface that faces the sensor, negative behind it,
-    in one pose; where they lie, and the rows of the surface that are nearest. A back
-    counts as so `far` behind its front."""
-    laid, seen_from = ((p - scan.middle) @ back.T + shift for p in (scan.raw, scan.eye))
+    """How far points lie before the surface that faces the sensor in one pose, negative
+    behind it; where they lie, and the rows nearest. Backs count as `far` behind."""
+    both = scan.raw[::every] - scan.middle, scan.eye - scan.middle
+    laid, seen_from = (one @ pose[:3, :3].T + pose[:3, 3] for one in both)
     near, squares = surface.tree.batch_knn_search(laid, NEIGHBORS)
     offset, normals = laid[:, None] - surface.points[near], surface.normals[near]
     gap = np.einsum("ski,ski->sk", offset, normals)

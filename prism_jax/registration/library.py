@@ -127,8 +127,7 @@ class Library:
         All in one frame, in metres. `eye` is where the sensor stood, perhaps by a
         guess; what it saw is the `visibility`, if its place is known. An object may
         stand upright with regard to `up`, or lie anyhow. If it was found `before`, it
-        is looked for there first, and elsewhere only if it has gone. The same input
-        gives the same result.
+        is looked for there first, and elsewhere only if it has gone.
         """
         scan = Scan(np.asarray(points, np.float64), np.asarray(eye), visibility)
         if before is not None and before.model is not None and before.match is not None:
