@@ -132,6 +132,17 @@ def test_a_pose_that_one_face_does_not_tell_is_refused(parts):
     assert doubts == ["what was measured does not tell its pose", None]
 
 
+def test_a_thin_plate_is_laid_on_the_side_that_faces_the_sensor():
+    rng, plate = np.random.default_rng(0), box([0.4, 0.3, 0.004])
+    points = rng.uniform(-0.5, 0.5, (2000, 3)) * plate.extents
+    points[:, 2] = 0.002 + rng.normal(0, 0.0002, 2000)
+    seen, surface = Scan(points, EYE), model("plate", plate).surface
+    for aside in -0.003, 0.003:
+        pose = rigid(np.eye(3), seen.middle - surface.middle + [0, 0, aside])
+        found = evidence.match(seen, surface, pose)
+        np.testing.assert_allclose(found.pose[2, 3], 0, atol=2e-4)
+
+
 def test_what_is_no_part_is_none(parts):
     points, _ = scan(BRACKET, rotation=Rotation.identity())
     others = Library([parts[name] for name in ("mirrored", "crate", "drum")])
