@@ -89,10 +89,13 @@ def some_of(around: Float[np.ndarray, "R 3"]) -> Float[np.ndarray, "S 3"]:
 
 
 def in_free_space(
-    points: Float[np.ndarray, "P 3"], visibility: Visibility, tolerance: float
+    points: Float[np.ndarray, "P 3"],
+    visibility: Visibility,
+    tolerance: float,
+    about: int = ABOUT,
 ) -> Bool[np.ndarray, " P"]:
     """Which points a sensor looked past the object and through: all that it measured
-    within `ABOUT` of their pixels, rows and columns alike, lies more than `tolerance`
+    so many pixels `about` theirs, rows and columns alike, lies more than `tolerance`
     behind them, and in their own pixel it is not the object.
 
     None where nothing was measured, and none beside the map. One frame and unit. NumPy.
@@ -100,7 +103,7 @@ def in_free_space(
     state, depth = map(np.asarray, visibility[1:])
     # Between points and at edges a pixel's own depth is a neighbour's.
     depth = np.where(state == UNKNOWN, np.inf, depth)
-    depth = minimum_filter(depth, 2 * ABOUT + 1, mode="constant", cval=np.inf)
+    depth = minimum_filter(depth, 2 * about + 1, mode="constant", cval=np.inf)
     state, behind = look_up(Visibility(visibility.camera, state, depth), points)
     return np.asarray((state > SURFACE) & (behind < -tolerance))
 

@@ -28,8 +28,8 @@ BESIDE, APART = 0.04, 3.0
 """In longest sides and in spacings of a scan: nearer to it a surface was measured."""
 TOLERANCE = 0.03  # in longest sides: so much nearer to the sensor is in front
 
-LEAST_FIT, LEAST_COVERED, LEAST_SEEN, MOST_DENIED = 0.9, 0.33, 0.4, 0.05
-MOST_ODD, MOST_STRAIN, MOST_PLAY = 0.015, 1.8, 0.007
+LEAST_FIT, LEAST_COVERED, LEAST_SEEN, MOST_DENIED = 0.9, 0.33, 0.35, 0.01
+MOST_ODD, MOST_STRAIN, MOST_PLAY = 0.015, 2.2, 0.007
 """What a model needs to be taken for an object, chosen on validation parts."""
 
 
@@ -167,7 +167,7 @@ def _looked_for(
     # What was measured of the object itself may lie behind such a front, too.
     known = np.where(np.asarray(scan.visibility.state) == UNKNOWN, UNKNOWN, BACKGROUND)
     beyond = scan.visibility._replace(state=known.astype(np.uint8))
-    denied = in_free_space(points, beyond, reach) & ~measured
+    denied = in_free_space(points, beyond, reach, 1) & ~measured
     unknown = 0.5 * (state == UNKNOWN).sum()
     counted = max(measured.sum() + denied.sum() + unknown, 1)
     odd = _odd(thin(points, COARSE_CELLS)[1], denied)
