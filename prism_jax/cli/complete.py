@@ -270,7 +270,7 @@ def _tell_of_known(objects: Sequence[Any]) -> None:
             _say(f"object {number} is not {name}{more}: {why} (--known_unit)")
     if all(one.known.model is None and one.sensor != "given" for one in objects):
         told = "set --eye or --camera if the sensor did not stand at 0,0,0"
-        _say(f"no object is one of the models; {told}")
+        _say(f"no object is one of the models, result.json says why; {told}")
 
 
 def _check_not_empty(scene: Any, scan: io.Scan, view: Any, source: str) -> None:

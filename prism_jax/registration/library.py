@@ -92,7 +92,7 @@ class Library:
         files = sorted(p for p in root.rglob("*") if p.suffix.lower() in suffixes)
         if not files:
             remedy = f"give a folder of {' '.join(suffixes)} files"
-            raise InputError(folder, "no models in this folder", remedy)
+            raise InputError(folder, "no such folder, or no models in it", remedy)
         choose("--known_unit", unit or "m", UNITS)
         homes = [file.parent for file in files if file.suffix.lower() in ROBOTS]
         models = []

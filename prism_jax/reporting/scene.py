@@ -140,7 +140,8 @@ def _row(
     points, verdict = entry["points"], entry["verdict"]
     error = None if verdict is None else verdict["expected_error"]
     reasons = [] if verdict is None else verdict["reasons"]
-    if known := entry.get("known", {}).get("model"):
+    known = entry.get("known", {}).get("model")
+    if known:
         reasons = [f"known: {known}"]
     return {
         "number": number,
@@ -149,5 +150,6 @@ def _row(
         "added": f"{points['completed'] - points['partial']:,}",
         "error": "-" if error is None else f"{error:#.3g}",
         "reasons": reasons,
+        "known": known,
         "details": details.of_object(entry, summary["adapt"]),
     }
