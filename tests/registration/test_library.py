@@ -143,12 +143,12 @@ def test_a_thin_plate_is_laid_on_the_side_that_faces_the_sensor():
         np.testing.assert_allclose(found.pose[2, 3], 0, atol=2e-4)
 
 
-@pytest.mark.parametrize(("longer", "right"), [(1.0, True), (1.1, False)])
-def test_a_longer_part_reaches_where_nothing_was_seen(longer, right):
+@pytest.mark.parametrize(("longer", "taken"), [(1.05, True), (1.1, False)])
+def test_a_longer_part_reaches_where_nothing_is(longer, taken):
     points, _ = scan(CRATE)
     known = Library([model("crate", CRATE.copy().apply_scale([longer, 1, 1]))])
     visibility = seen_among(points, np.zeros((0, 3)), EYE, background="empty")
-    assert (known.find(points, EYE, visibility).model is not None) == right
+    assert (known.find(points, EYE, visibility).model is not None) == taken
 
 
 def test_what_is_no_part_is_none(parts):
