@@ -101,10 +101,10 @@ def match(scan: Scan, surface: Surface, pose: Float[np.ndarray, "4 4"]) -> Match
     beside = max(BESIDE * surface.size, APART * scan.spacing)
     covered = float((KDTree(scan.raw).query(placed)[0] < beside).mean())
     seen, denied, odd = _looked_for(scan, surface, pose, placed)
-    fit, odd = float(fits.mean()), max(odd, _odd(scan.cells, ~fits))
+    odd = max(odd, _odd(scan.cells, ~fits))
     play = float(np.sqrt(_play(surface, covariance).mean()) / surface.size)
-    told = Evidence(fit, covered, seen, denied, odd, strain, play)
-    return Match(pose, covariance, scan.noise, told)
+    told = float(fits.mean()), covered, seen, denied, odd, strain, play
+    return Match(pose, covariance, scan.noise, Evidence(*told))
 
 
 def _play(surface: Surface, covariance: np.ndarray) -> np.ndarray:
@@ -143,10 +143,9 @@ def _odd(owner: np.ndarray, wrong: np.ndarray) -> float:
 def _looked_for(
     scan: Scan, surface: Surface, pose: np.ndarray, points: np.ndarray
 ) -> tuple[float, float, float]:
-    """Of the model's front the shares that the sensor measured and that it looked
-    through, and the share of its places that it looked through mostly. What hides it
-    counts for nothing, and what is not known for half. All was seen where nobody knows
-    where a sensor stood."""
+    """Of the model's front the shares that the sensor measured and looked through, and
+    the share of its places that it looked through mostly. What hides it does not count,
+    the unknown by half. All was seen where nobody knows where a sensor stood."""
     if scan.visibility is None:
         return 1.0, 0.0, 0.0
     normals = surface.normals[:SHOWN] @ pose[:3, :3].T
@@ -167,7 +166,9 @@ def _looked_for(
     # What was measured of the object itself may lie behind such a front, too.
     known = np.where(np.asarray(scan.visibility.state) == UNKNOWN, UNKNOWN, BACKGROUND)
     beyond = scan.visibility._replace(state=known.astype(np.uint8))
-    denied = in_free_space(points, beyond, reach, 1) & ~measured
+    focal = scan.visibility.camera.intrinsics[0, 0] / away.mean()
+    about = 1 + int(scan.spacing * focal)
+    denied = in_free_space(points, beyond, reach, about) & ~measured
     unknown = 0.5 * (state == UNKNOWN).sum()
     counted = max(measured.sum() + denied.sum() + unknown, 1)
     odd = _odd(thin(points, COARSE_CELLS)[1], denied)

@@ -68,8 +68,7 @@ def rigid(
 
 
 def _distinct(poses: np.ndarray, size: float, near: float) -> list[int]:
-    """Rows of poses of which each brings a point of an object of this size farther than
-    `near`, in sizes, from where all before it do."""
+    """Rows of poses that bring some point farther than `near` sizes from all before."""
     corners = np.append(0.5 * size * np.eye(4, 3), np.ones((4, 1)), axis=1)
     laid = corners @ poses.swapaxes(1, 2)
     other = np.abs(laid[:, None] - laid).max(axis=(2, 3)) > near * size
