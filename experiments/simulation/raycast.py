@@ -12,6 +12,8 @@ from embreex.mesh_construction import TriangleMesh
 from embreex.rtcore_scene import EmbreeScene
 from jaxtyping import Bool, Float, Float64, Int
 
+from prism_jax.geometry.cloud import sphere
+
 NUM_VIEWPOINTS = 96
 VIEWPOINT_DISTANCE = 3.0  # from the centre, in radii of the bounding sphere
 CRACK = 1e-4
@@ -179,15 +181,7 @@ def direction(
     return np.stack([x, y, np.broadcast_to(np.sin(elevation), x.shape)], axis=-1)
 
 
-def sphere_directions(count: int) -> np.ndarray:
-    """Unit vectors spread over the sphere: a Fibonacci lattice."""
-    index = np.arange(count) + 0.5
-    z, azimuth = 1 - 2 * index / count, np.pi * (1 + np.sqrt(5)) * index
-    ring = np.sqrt(1 - z**2)
-    return np.stack([ring * np.cos(azimuth), ring * np.sin(azimuth), z], axis=1)
-
-
-VIEWPOINT_DIRECTIONS = sphere_directions(NUM_VIEWPOINTS)
+VIEWPOINT_DIRECTIONS = sphere(NUM_VIEWPOINTS)
 _ORDER = np.argsort(
     -(VIEWPOINT_DIRECTIONS @ VIEWPOINT_DIRECTIONS.T), axis=1, kind="stable"
 )

@@ -1,12 +1,13 @@
 """A margin whose coverage was measured: split conformal prediction over cells.
 
 The score of a cell is the largest distance of a point of its true surface from what is
-measured, predicted or the robot's. The margin q is the ceil((n + 1)(1 - alpha))-th
-smallest of n scores. Of another cell that is drawn like these, the inflated surfaces
-hold all of the true surface with a probability of at least 1 - alpha, over cells and
-calibrations (Vovk, Gammerman & Shafer 2005, "Algorithmic Learning in a Random World";
-Papadopoulos et al. 2002, "Inductive confidence machines for regression"). Frames of one
-cell resemble each other and count once. Of other cells than these nothing is promised.
+measured, predicted, the robot's or a known part's (`Surfaces.needed`). The margin q is
+the ceil((n + 1)(1 - alpha))-th smallest of n scores. Of another cell that is drawn like
+these, the inflated surfaces hold all of the true surface with a probability of at least
+1 - alpha, over cells and calibrations (Vovk, Gammerman & Shafer 2005, "Algorithmic
+Learning in a Random World"; Papadopoulos et al. 2002, "Inductive confidence machines
+for regression"). Frames of one cell resemble each other and count once. Of other cells
+than these nothing is promised.
 """
 
 import dataclasses
@@ -41,7 +42,7 @@ def cell_score(truth: Float[np.ndarray, "N 3"], surfaces: Surfaces) -> float:
     """
     if len(truth) == 0:
         raise InputError("truth", "no points", "give the true surface of the cell")
-    return float(surfaces.distance(np.asarray(truth, np.float64))[0].max())
+    return float(surfaces.needed(np.asarray(truth, np.float64)).max())
 
 
 def cells_needed(alpha: float) -> int:

@@ -14,8 +14,8 @@ from scipy.spatial import KDTree
 from prism_jax.envelope.voxels import FREE, STATES, Grid
 from prism_jax.io.errors import InputError
 
-KINDS = STATES[:3]
-"""Whose surfaces: what was measured, the robot's, and what is predicted."""
+KINDS = (*STATES[:3], "part")
+"""Whose surfaces: measured, the robot's, predicted, and a known part's."""
 
 NUM_BOXES = 16
 """Nearest middles of voxels among which the nearest box is looked for first."""
@@ -41,9 +41,14 @@ class Distances(NamedTuple):
 class Surfaces:
     """Points on surfaces of each kind."""
 
-    def __init__(self, points: Mapping[str, Float[np.ndarray, "_ 3"]]):
-        """`points` by their kind, of `KINDS`; a kind may be left out or empty. Other
-        names and points that are not finite raise InputError."""
+    def __init__(
+        self,
+        points: Mapping[str, Float[np.ndarray, "_ 3"]],
+        part_margin: float = np.inf,
+    ):
+        """`points` by their kind, of `KINDS`; a kind may be left out or empty. The
+        margin of a known part's is at most `part_margin`. Other names and points that
+        are not finite raise InputError."""
         self.points = {kind: np.zeros((0, 3)) for kind in KINDS}
         for kind, cloud in points.items():
             if kind not in KINDS:
@@ -53,14 +58,11 @@ class Surfaces:
                 fault = "some points are not finite"
                 raise InputError(f"{kind} surface", fault, "remove them")
             self.points[kind] = cloud
-        counts = [len(self.points[kind]) for kind in KINDS]
-        self._kinds = np.repeat(np.arange(len(KINDS), dtype=np.int8), counts)
-        together = np.concatenate([self.points[kind] for kind in KINDS])
-        # Boxes that are neither shrunk to their points nor balanced are many times
-        # quicker for points far away.
-        self._tree = None
-        if len(together):
-            self._tree = KDTree(together, LEAF, False, balanced_tree=False)
+        *others, part = (self.points[kind] for kind in KINDS)
+        counts = [*map(len, others)]
+        self._kinds = np.repeat(np.arange(len(others), dtype=np.int8), counts)
+        self._trees = _tree(np.concatenate(others)), _tree(part)
+        self.part_margin = part_margin
 
     def distance(
         self, points: Float[np.ndarray, "N 3"], margin: float = 0.0
@@ -69,10 +71,32 @@ class Surfaces:
 
         Infinite and -1 where there is no surface.
         """
-        if self._tree is None:
-            return np.full(len(points), np.inf), np.full(len(points), -1, np.int8)
-        away, row = self._tree.query(points, workers=-1)
-        return away - margin, self._kinds[row]
+        (away, row), (to_part, _) = (_nearest(tree, points) for tree in self._trees)
+        kind = np.append(self._kinds, np.int8(-1))[row]
+        away, to_part = away - margin, to_part - min(margin, self.part_margin)
+        kind = np.where(to_part < away, np.int8(KINDS.index("part")), kind)
+        return np.minimum(away, to_part), kind
+
+    def needed(self, points: Float[np.ndarray, "N 3"]) -> Float64[np.ndarray, " N"]:
+        """The smallest margin at which the inflated surfaces hold each point."""
+        away, to_part = (_nearest(tree, points)[0] for tree in self._trees)
+        return np.minimum(away, np.where(to_part <= self.part_margin, to_part, np.inf))
+
+
+def _tree(points: np.ndarray) -> KDTree | None:
+    # Boxes that are neither shrunk to their points nor balanced are many times quicker
+    # for points far away.
+    if len(points) == 0:
+        return None
+    return KDTree(points, LEAF, False, balanced_tree=False)
+
+
+def _nearest(tree: KDTree | None, points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """How far the nearest point is, and its row; infinite and -1 if there is none."""
+    if tree is None:
+        return np.full(len(points), np.inf), np.full(len(points), -1)
+    away, row = tree.query(points, workers=-1)
+    return np.asarray(away), np.asarray(row)
 
 
 @dataclasses.dataclass(frozen=True)

@@ -18,6 +18,7 @@ from prism_jax.reporting.view import viewing_direction
 COLORS = {
     "measured": ply.COLORS[ply.OBSERVED],
     "robot": ply.COLORS[ply.KNOWN],
+    "part": ply.COLORS[ply.KNOWN],
     "predicted": ply.COLORS[ply.COMPLETED],
     "unseen": (178, 186, 196),
     "free": (255, 255, 255),

@@ -16,10 +16,15 @@ from prism_jax.envelope.voxels import VOXEL
 from prism_jax.geometry.camera import Camera, Vector
 from prism_jax.io.clouds import check_cloud
 from prism_jax.io.errors import InputError
-from prism_jax.io.ply import COMPLETED, KNOWN
+from prism_jax.io.ply import COMPLETED
 
 Input = Literal["both", "cloud", "depth"]
 """What is measured: a cloud and its depth image, a cloud alone, an image alone."""
+
+
+PART_MARGIN = 0.03
+"""In its longest sides: so far the surface of a known part is thought to lie from where
+it was found. Measured, see docs/findings.md."""
 
 
 @dataclasses.dataclass(frozen=True)
@@ -56,14 +61,17 @@ class Seen:
     measured: Float64[np.ndarray, "N 3"]
     # Points that are added to them; none within a known robot's margin.
     predicted: Float64[np.ndarray, "P 3"]
-    # Points on its surface, where it is known, and on hidden ones of known models.
+    # Points on its surface, where it is known.
     robot: Float64[np.ndarray, "R 3"]
+    part: Float64[np.ndarray, "M 3"]  # and on the surface of a known part
     fault: str = ""  # why nothing could be completed; empty if something was
     known: Any = None  # as `prism_jax.completion.assembly.CompletedScan` has it
 
     def surfaces(self) -> Surfaces:
         """What a margin inflates."""
-        return Surfaces({kind: getattr(self, kind) for kind in KINDS})
+        size = self.known.model.surface.size if len(self.part) else 0.0
+        points = {kind: getattr(self, kind) for kind in KINDS}
+        return Surfaces(points, PART_MARGIN * float(size))
 
 
 def see(
@@ -89,25 +97,25 @@ def see(
     robot = np.zeros((0, 3)) if robot is None else np.asarray(robot, np.float64)
     others = np.zeros((0, 3)) if others is None else np.asarray(others, np.float64)
     points = points[~of_robot(points, robot, method.robot_margin)]
-    predicted, surface, known, fault = np.zeros((0, 3)), robot, None, ""
+    others = others[~of_robot(others, robot, method.robot_margin)]
+    predicted, part, known, fault = np.zeros((0, 3)), np.zeros((0, 3)), None, ""
+    # A known part is told by what the sensor saw past it.
+    around = others if method.known is not None and len(others) else None
     try:
         check_cloud(points, "the scan")
         named = "adapt", "density", "background"
         asked = {name: getattr(method, name) for name in named}
-        done = completer.complete(points, camera, up=up, **asked)
+        done = completer.complete(points, camera, up=up, around=around, **asked)
     except InputError as error:
         fault = str(error)
     else:
-        known, label = done.known, done.label
-        model, predicted = (
-            np.asarray(done.points[label == kind], np.float64)
-            for kind in (KNOWN, COMPLETED)
-        )
-        surface = np.concatenate([robot, model])
+        known = done.known
+        predicted = np.asarray(done.points[done.label == COMPLETED], np.float64)
         predicted = predicted[~of_robot(predicted, robot, method.robot_margin)]
-    others = others[~of_robot(others, robot, method.robot_margin)]
+        if known is not None and known.model is not None:
+            part = known.placed()[0]
     measured = np.concatenate([points, others])
-    return Seen(measured, predicted, surface, fault, known)
+    return Seen(measured, predicted, robot, part, fault, known)
 
 
 def sensor_name(camera: Camera | None) -> str | None:

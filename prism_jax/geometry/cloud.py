@@ -4,7 +4,7 @@ import functools
 from typing import Any
 
 import numpy as np
-from jaxtyping import Array, Float, Int
+from jaxtyping import Array, Float, Float64, Int
 from scipy.spatial import KDTree
 
 NUM_NEAR = 8  # neighbours that a density is taken from
@@ -21,6 +21,14 @@ def cell_codes(index: Int[np.ndarray, "N D"]) -> Int[np.ndarray, " N"]:
     if np.prod(shape, dtype=float) < 2**62:
         return np.asarray(np.ravel_multi_index(tuple(index.T), tuple(shape)))
     return np.unique(index, axis=0, return_inverse=True)[1].ravel()
+
+
+def sphere(count: int) -> Float64[np.ndarray, "count 3"]:
+    """Unit vectors spread over the sphere: a Fibonacci lattice."""
+    index = np.arange(count) + 0.5
+    z, azimuth = 1 - 2 * index / count, np.pi * (1 + np.sqrt(5)) * index
+    ring = np.sqrt(1 - z**2)
+    return np.stack([ring * np.cos(azimuth), ring * np.sin(azimuth), z], axis=1)
 
 
 class IndexedCloud:

@@ -4,7 +4,7 @@ import numpy as np
 from jaxtyping import Bool, Float
 from scipy.spatial import ConvexHull, KDTree, QhullError
 
-from prism_jax.geometry.cloud import sight
+from prism_jax.geometry.cloud import sight, sphere
 from prism_jax.geometry.workspace import Workspace
 from prism_jax.preprocessing.segmentation.clusters import thin
 
@@ -35,7 +35,7 @@ def likely_eye(
     less likely it is. It turns and moves with the points, up to rounding.
     """
     unit, frame = _in_own_axes(points)
-    directions = _directions()
+    directions = sphere(NUM_DIRECTIONS)
     scores = []
     for direction in directions:
         across, along = _seen_along(unit, direction)
@@ -96,7 +96,7 @@ def is_closed(points: Float[np.ndarray, "N 3"], thickness: float = 0.0) -> bool:
     if len(unit) < SAMPLE // 2 or thickness > THICKEST * float(frame.half_extent):
         return False
     toward = np.zeros_like(unit)
-    for direction in _directions()[::3]:
+    for direction in sphere(NUM_DIRECTIONS)[::3]:
         seen = _seen(unit, AWAY * direction)
         if seen.mean() >= SEEN:
             return False
@@ -138,15 +138,6 @@ def _in_own_axes(
     radius = float(np.linalg.norm(along - middle, axis=1).max()) or 1.0
     frame = Workspace(mean + middle @ axes, np.array(radius), axes)
     return (along - middle) / radius, frame
-
-
-def _directions() -> Float[np.ndarray, "D 3"]:
-    """Evenly over a sphere: a Fibonacci lattice."""
-    rows = np.arange(NUM_DIRECTIONS) + 0.5
-    z = 1.0 - 2.0 * rows / NUM_DIRECTIONS
-    turn = np.pi * (1 + 5**0.5) * rows
-    flat = np.sqrt(1.0 - z**2)
-    return np.stack([flat * np.cos(turn), flat * np.sin(turn), z], axis=1)
 
 
 def _seen_along(

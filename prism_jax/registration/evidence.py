@@ -4,33 +4,32 @@ from typing import NamedTuple
 
 import numpy as np
 from jaxtyping import Float, Float64
-from scipy.spatial import KDTree
-from scipy.spatial.transform import Rotation
 
 from prism_jax.geometry.camera import MIN_DEPTH
 from prism_jax.geometry.visibility import BACKGROUND, SURFACE, UNKNOWN, look_up
 from prism_jax.preprocessing.segmentation.clusters import thin
 from prism_jax.preprocessing.visibility_map import in_free_space
-from prism_jax.registration.pose import rigid
+from prism_jax.registration.pose import FITS, rigid, settled
 from prism_jax.registration.scan import COARSE_CELLS, Scan
-from prism_jax.registration.surface import FEW, Surface, foremost
+from prism_jax.registration.surface import FEW, FEWER, Surface, foremost
 
-FITS = 3.0  # in the sensor's noise: nearer points lie on the model
-STEPS, NEAR = 4, 0.01  # the last ones of a pose, and what they see, in longest sides
-EVERY = 3  # one measured point in so many guides them
-NEIGHBORS = 8  # points of the surface, of which one explains a measured point
-FLAT = 1.8  # in spacings of the surface: so far its points stand for their planes
-SHOWN = 5000  # of its points tell what is seen of it
-LOOSE = 0.01  # radians, and longest sides
 SOME = 4  # points of a cell that say something
 GRAZING = 0.2  # cosine under which nothing is expected of a surface
 BESIDE, APART = 0.04, 3.0
 """In longest sides and in spacings of a scan: nearer to it a surface was measured."""
 TOLERANCE = 0.03  # in longest sides: so much nearer to the sensor is in front
 
-LEAST_FIT, LEAST_COVERED, LEAST_SEEN, MOST_DENIED = 0.9, 0.33, 0.35, 0.01
-MOST_ODD, MOST_STRAIN, MOST_PLAY = 0.015, 2.2, 0.007
-"""What a model needs to be taken for an object, chosen on validation parts."""
+LIMITS = {
+    "fit": (0.9, np.inf, "it explains {:.0%} of the points"),
+    "denied": (0.0, 0.01, "the sensor saw through {:.0%} of its front"),
+    "covered": (0.3, np.inf, "{:.0%} of its surface was measured"),
+    "odd": (0.0, 0.015, "something else is at {:.1%} of its places"),
+    "seen": (0.35, np.inf, "{:.0%} of its front was measured"),
+    "strain": (0.0, 2.2, "its shape differs by more than the noise"),
+    "play": (0.0, 0.007, "what was measured does not tell its pose"),
+}
+"""Of the evidence for a model that is taken for an object, the least and the most, and
+what speaks against it beyond them. Chosen on validation parts."""
 
 
 class Evidence(NamedTuple):
@@ -57,7 +56,8 @@ class Match(NamedTuple):
     @property
     def score(self) -> float:
         """1 for a model that explains everything."""
-        return self.evidence.fit * self.evidence.seen
+        told = self.evidence
+        return told.fit * told.seen * (1 - told.denied) * (1 - told.odd)
 
     def poses(self, scan: Scan, surface: Surface) -> Float64[np.ndarray, "1 4 4"]:
         """The pose as the search has it in a scan."""
@@ -76,30 +76,16 @@ class Match(NamedTuple):
 
 
 def match(scan: Scan, surface: Surface, pose: Float[np.ndarray, "4 4"]) -> Match:
-    """A pose of the search after its last steps, and what speaks for it."""
-    reach = max(NEAR * surface.size, FITS * scan.noise)
-    # What no point tells, as where along a plane it lies, is known to about `LOOSE`.
-    loose = LOOSE * np.array([1.0] * 3 + [surface.size] * 3)
-    covariance = np.diag(loose**2)
-    for _ in range(STEPS):
-        gap, laid, rows = _gaps(scan, surface, pose, EVERY, reach)
-        weights = EVERY * np.maximum(1 - (gap / reach) ** 2, 0) / scan.noise**2
-        normals = surface.normals[rows].astype(np.float64)
-        slopes = np.concatenate([np.cross(laid, normals), normals], axis=1)
-        squares = slopes.T @ (weights[:, None] * slopes)
-        covariance = np.linalg.inv(squares + np.diag(loose**-2))
-        offsets = np.einsum("si,si->s", laid - surface.points[rows], normals)
-        motion = -covariance @ slopes.T @ (weights * offsets)
-        turn = Rotation.from_rotvec(motion[:3]).as_matrix()
-        pose = rigid(turn, motion[3:]) @ pose
-    gap = _gaps(scan, surface, pose)[0]
+    """A pose of the search once it is settled, and what speaks for it."""
+    pose, covariance, gap = settled(scan, surface, pose)
     back, shift = pose[:3, :3], pose[:3, 3]
     pose = rigid(back.T, scan.middle - back.T @ (shift + surface.middle))
     fits = np.abs(gap) <= FITS * scan.noise
     strain = float((np.minimum(np.abs(gap) / scan.noise, FITS) ** 2).mean())
-    placed = (surface.points[:SHOWN] + surface.middle) @ back + pose[:3, 3]
-    beside = max(BESIDE * surface.size, APART * scan.spacing)
-    covered = float((KDTree(scan.raw).query(placed)[0] < beside).mean())
+    placed = (surface.points[:FEWER] + surface.middle) @ back + pose[:3, 3]
+    beside = max(BESIDE * surface.size, APART * scan.raw.spacing)
+    away = scan.raw.tree.query(placed, distance_upper_bound=beside)[0]
+    covered = float((away < beside).mean())
     seen, denied, odd = _looked_for(scan, surface, pose, placed)
     odd = max(odd, _odd(scan.cells, ~fits))
     play = float(np.sqrt(_play(surface, covariance).mean()) / surface.size)
@@ -112,26 +98,6 @@ def _play(surface: Surface, covariance: np.ndarray) -> np.ndarray:
     normals = surface.normals[:FEW]
     slopes = np.append(np.cross(surface.points[:FEW], normals), normals, axis=1)
     return np.einsum("ni,ij,nj->n", slopes, covariance, slopes)
-
-
-def _gaps(
-    scan: Scan, surface: Surface, pose: np.ndarray, every: int = 1, far: float = 0.0
-) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """How far points lie before the surface that faces the sensor in one pose, negative
-    behind it; where they lie, and the rows nearest. Backs count as `far` behind."""
-    both = scan.raw[::every] - scan.middle, scan.eye - scan.middle
-    laid, seen_from = (one @ pose[:3, :3].T + pose[:3, 3] for one in both)
-    near, squares = surface.tree.batch_knn_search(laid, NEIGHBORS)
-    offset, normals = laid[:, None] - surface.points[near], surface.normals[near]
-    gap = np.einsum("ski,ski->sk", offset, normals)
-    toward = np.einsum("si,ski->sk", seen_from - laid, normals) > 0
-    beside = squares - gap**2 > (FLAT * surface.spacing(len(surface.points))) ** 2
-    gap = np.where(beside, np.copysign(np.sqrt(squares), gap), gap)
-    gap *= np.where(toward, 1, -1)
-    gap[~(toward | surface.two_sided[near])] = np.inf
-    best = (np.abs(gap) + far * ~toward).argmin(axis=1)[:, None]
-    gap, rows = (np.take_along_axis(of, best, 1)[:, 0] for of in (gap, near))
-    return gap, laid, rows
 
 
 def _odd(owner: np.ndarray, wrong: np.ndarray) -> float:
@@ -148,16 +114,16 @@ def _looked_for(
     the unknown by half. All was seen where nobody knows where a sensor stood."""
     if scan.visibility is None:
         return 1.0, 0.0, 0.0
-    normals = surface.normals[:SHOWN] @ pose[:3, :3].T
+    normals = surface.normals[:FEWER] @ pose[:3, :3].T
     rays = scan.eye - points
     away = np.linalg.norm(rays, axis=1)
     facing = np.einsum("ij,ij->i", normals, rays) / away
-    facing = np.where(surface.two_sided[:SHOWN], np.abs(facing), facing)
+    facing = np.where(surface.two_sided[:FEWER], np.abs(facing), facing)
     seen_from = np.asarray(scan.visibility.camera.to_camera(points))
     depth = seen_from[:, 2]
     expected = (facing > GRAZING) & (depth > MIN_DEPTH)
     image = away.mean() * seen_from[:, :2] / np.maximum(depth, MIN_DEPTH)[:, None]
-    spacing = surface.spacing(len(points))
+    spacing = float(np.sqrt(surface.area / len(points)))
     image = np.clip(image, -1e3 * spacing, 1e3 * spacing)
     points = points[expected & foremost(image, away, spacing)]
     reach = max(TOLERANCE * surface.size, FITS * scan.noise)
@@ -167,7 +133,7 @@ def _looked_for(
     known = np.where(np.asarray(scan.visibility.state) == UNKNOWN, UNKNOWN, BACKGROUND)
     beyond = scan.visibility._replace(state=known.astype(np.uint8))
     focal = scan.visibility.camera.intrinsics[0, 0] / away.mean()
-    about = 1 + int(scan.spacing * focal)
+    about = 1 + int(scan.raw.spacing * focal)
     denied = in_free_space(points, beyond, reach, about) & ~measured
     unknown = 0.5 * (state == UNKNOWN).sum()
     counted = max(measured.sum() + denied.sum() + unknown, 1)
@@ -177,18 +143,7 @@ def _looked_for(
 
 def doubt(told: Evidence) -> str | None:
     """What speaks most against a model, if anything does."""
-    if told.fit < LEAST_FIT:
-        return f"it explains {told.fit:.0%} of the points"
-    if told.denied > MOST_DENIED:
-        return f"the sensor saw through {told.denied:.0%} of its front"
-    if told.covered < LEAST_COVERED:
-        return f"{told.covered:.0%} of its surface was measured"
-    if told.odd > MOST_ODD:
-        return f"something else is at {told.odd:.1%} of its places"
-    if told.seen < LEAST_SEEN:
-        return f"{told.seen:.0%} of its front was measured"
-    if told.strain > MOST_STRAIN:
-        return "its shape differs by more than the noise"
-    if told.play > MOST_PLAY:
-        return "what was measured does not tell its pose"
+    for name, (least, most, reason) in LIMITS.items():
+        if not least <= (value := getattr(told, name)) <= most:
+            return reason.format(value)
     return None

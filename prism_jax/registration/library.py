@@ -24,10 +24,10 @@ from prism_jax.registration.scan import Scan
 from prism_jax.registration.surface import Surface, surface_of
 from prism_jax.robots.urdf import MESH_SUFFIXES, Linkage, read_mesh
 
-VERSION = 7  # of what is kept in the cache
+VERSION = 9  # of what is kept in the cache
 UNITS = {"m": 1.0, "cm": 0.01, "mm": 0.001, "in": 0.0254}
 ROBOTS, METRIC = (".urdf", ".xacro"), (".urdf", ".xacro", ".glb")
-VERIFIED, POSES = 10, 4  # models that are looked at closely, and poses of each
+VERIFIED, POSES = 3, 3  # models that are looked at closely, and poses of each
 EQUAL = 0.03  # of the score: two models nearer than this explain an object equally
 ALIKE = 0.02  # in longest sides: two surfaces nearer than this are the same
 FAR = 100.0  # times as large or as small as an object: of another unit
@@ -73,8 +73,8 @@ class Library:
 
     @functools.cached_property
     def digest(self) -> str:
-        """Tells libraries apart: by the names and the surfaces of their models."""
-        digest = hashlib.sha256()
+        """Tells libraries and versions apart: by names and surfaces of models."""
+        digest = hashlib.sha256(b"%d" % VERSION)
         for model in self.models:
             digest.update(model.name.encode() + model.surface.points.tobytes())
         return digest.hexdigest()[:16]
@@ -138,13 +138,13 @@ class Library:
         misfits = {model.name: _misfit(scan, model.surface) for model in self.models}
         refused = {name: reason for name, reason in misfits.items() if reason}
         fitting = [model for model in self.models if model.name not in refused]
-        placed = [search(scan, model.surface, up) for model in fitting]
-        order = sorted(range(len(fitting)), key=lambda i: -placed[i][1])
-        for i in order[VERIFIED:]:
-            refused[fitting[i].name] = "other models come nearer to the points"
+        placed = [(model, *search(scan, model.surface, up)) for model in fitting]
+        placed.sort(key=lambda one: -one[2])
+        for model, _, _ in placed[VERIFIED:]:
+            refused[model.name] = "other models come nearer to the points"
         sound = []
-        for i in order[:VERIFIED]:
-            model, match = fitting[i], _best(scan, fitting[i], placed[i][0])
+        for model, poses, _ in placed[:VERIFIED]:
+            match = _best(scan, model, poses)
             if reason := evidence.doubt(match.evidence):
                 refused[model.name] = reason
             else:
@@ -179,7 +179,7 @@ def _decided(sound: list[tuple[Model, Match]], refused: dict[str, str]) -> Found
 def _alike(one: Model, match: Match, other: Model, its: Match) -> bool:
     """Whether two models are the same surface where they were found."""
     placed = match.placed(one.surface)[0], its.placed(other.surface)[0]
-    near = ALIKE * one.surface.size + one.surface.spacing(len(placed[0]))
+    near = ALIKE * one.surface.size + np.sqrt(one.surface.area / len(placed[0]))
     both = placed, placed[::-1]
     away = [np.quantile(KDTree(own).query(points)[0], 0.99) for own, points in both]
     return bool(max(away) <= near)
@@ -204,7 +204,7 @@ def _misfit(scan: Scan, surface: Surface) -> str | None:
 
 def _best(scan: Scan, model: Model, poses: np.ndarray) -> Match:
     """The best of a model's poses, once they are refined."""
-    refined = refine(scan, model.surface, poses)[:POSES]
+    refined = refine(scan, model.surface, poses)[0][:POSES]
     matches = [evidence.match(scan, model.surface, pose) for pose in refined]
     return max(matches, key=lambda match: match.score)
 

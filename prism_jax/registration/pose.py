@@ -1,14 +1,12 @@
 """Where a model lies in a scan: poses by pairs of points, the best of them refined."""
 
-import itertools
-
 import numpy as np
 from jaxtyping import Float, Float64
 from scipy.spatial.transform import Rotation
 
 from prism_jax.io.errors import require
 from prism_jax.registration.scan import Scan
-from prism_jax.registration.surface import Surface, pair_codes
+from prism_jax.registration.surface import FEWER, Front, Surface, pair_codes
 
 HYPOTHESES, PER_PAIR = 3000, 12  # poses by pairs, and at most of one pair of the scan
 HEADINGS = 36
@@ -16,10 +14,18 @@ TOWARD = 0.3  # cosine over which a sensor sees a side of a box
 JUDGED, KEPT = (32, 200), 150  # points that judge poses in turn, and what they keep
 TRIED, REFINED = 3, 12  # poses of any model, and of those that are looked at closely
 REACH = 0.06  # of a model's point, in longest sides, in the search
-STRICTLY = 0.5  # of this reach, for what was refined
-NEAR = 0.1, 0.03, 0.01  # in longest sides: what is refined, step by step
-FITTING = 3.0  # in the noise of the sensor: no reach is less
+NEAR = 0.1, 0.03  # in longest sides: what is refined, step by step
+FITS = 3.0  # in the sensor's noise: nearer points lie on the model
 AGREE = 0.4  # least cosine between the normals of what lies together
+REFINING, RANKED = 400, 10  # points that refine poses; one in so many ranks them
+SETTLED = (10, 4 * (0.03,) + 2 * (0.02,)), (3, 3 * (0.01,))
+"""One measured point in so many settles a pose by planes that are so near, in longest
+sides, step by step; of the first steps' starts so far aside the best is taken."""
+ASIDE = 0.015
+BACK = 0.02  # as bad as missing a point: laying it on the back of a sheet
+LOOSE = 0.01  # radians, and longest sides
+NEIGHBORS = 8  # points of the surface, of which one explains a measured point
+FLAT = 1.8  # in spacings of the surface: so far its points stand for their planes
 ROUGHLY, EXACTLY = 0.05, 0.01  # in longest sides: poses nearer to each other are one
 STILL = 1e-3  # in radians and in longest sides: a smaller step of a refinement ends it
 
@@ -35,27 +41,83 @@ def search(
         scores = _scores(scan, surface, poses, count)
         poses = poses[np.argsort(-scores, kind="stable")[:KEPT]]
     poses = poses[_distinct(poses, surface.size, ROUGHLY)[:REFINED]]
-    tried = refine(scan, surface, poses[:TRIED])
-    score = float(_scores(scan, surface, tried[:1], JUDGED[-1], STRICTLY)[0])
-    return np.concatenate([tried, poses[TRIED:]]), score
+    tried, scores = refine(scan, surface, poses[:TRIED])
+    return np.concatenate([tried, poses[TRIED:]]), float(scores[0])
 
 
 def refine(
     scan: Scan, surface: Surface, poses: Float64[np.ndarray, "H 4 4"]
-) -> Float64[np.ndarray, "R 4 4"]:
+) -> tuple[Float64[np.ndarray, "R 4 4"], Float64[np.ndarray, " R"]]:
     """Each moved to where the points lie best on planes of the surface near them; those
-    that come together once, best first."""
+    that come together once, best first, with how well the points lie on it."""
     small_gicp = require("small_gicp", "cad")
     cloud, tree = surface.cloud
+    own = scan.raw.points[:: 1 + len(scan.raw) // REFINING] - scan.middle
+    pair = cloud, small_gicp.PointCloud(own), tree
     still = {"rotation_epsilon": STILL, "translation_epsilon": STILL * surface.size}
-    refined = np.copy(poses)
-    for row, near in itertools.product(range(len(poses)), NEAR):
-        reach = max(near * surface.size, FITTING * scan.noise)
-        own = cloud, scan.cloud, tree, refined[row], "PLANE_ICP", reach
-        refined[row] = small_gicp.align(*own, **still).T_target_source
-    scores = _scores(scan, surface, refined, JUDGED[-1], STRICTLY)
-    refined = refined[np.argsort(-scores, kind="stable")]
-    return refined[_distinct(refined, surface.size, EXACTLY)]
+    # The same for all models, or larger ones would come nearer.
+    common = max(NEAR[-1] * scan.size, FITS * scan.noise)
+    refined, scores = np.copy(poses), np.zeros(len(poses))
+    for row in range(len(poses)):
+        for near in NEAR:
+            reach = max(near * surface.size, FITS * scan.noise)
+            about = *pair, refined[row], "PLANE_ICP", reach
+            refined[row] = small_gicp.align(*about, **still).T_target_source
+        eye = refined[row, :3, :3] @ (scan.eye - scan.middle) + refined[row, :3, 3]
+        front = surface.front(eye, FEWER)
+        gap = _gaps(scan, front, refined[[row]], RANKED)[0]
+        scores[row] = 1 - (np.minimum(np.abs(gap) / common, 1) ** 2).mean()
+    rows = np.argsort(-scores, kind="stable")
+    rows = rows[_distinct(refined[rows], surface.size, EXACTLY)]
+    return refined[rows], scores[rows]
+
+
+def settled(
+    scan: Scan, surface: Surface, pose: Float64[np.ndarray, "4 4"]
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """A pose after its last steps, by the side that faces the sensor; the covariance of
+    a turn about the middle and a shift; and how far all points lie before it."""
+    front = surface.front(pose[:3, :3] @ (scan.eye - scan.middle) + pose[:3, 3])
+    aside = np.concatenate([np.zeros((1, 3)), np.eye(3), -np.eye(3)])
+    poses = rigid(np.eye(3), ASIDE * surface.size * aside) @ pose
+    # What no point tells, as where along a plane it lies, is known to about `LOOSE`.
+    loose = np.diag((LOOSE * np.repeat([1.0, surface.size], 3)) ** -2)
+    for every, steps in SETTLED:
+        for near in steps:
+            gap, laid, rows = _gaps(scan, front, poses, every)
+            reach = max(near * surface.size, FITS * scan.noise)
+            weights = every * np.maximum(1 - (gap / reach) ** 2, 0) / scan.noise**2
+            normals = front.normals[rows].astype(np.float64)
+            slopes = np.concatenate([np.cross(laid, normals), normals], axis=2)
+            weighted = (weights[..., None] * slopes).swapaxes(1, 2)
+            covariance = np.linalg.inv(weighted @ slopes + loose)
+            offsets = np.einsum("hsi,hsi->hs", laid - front.points[rows], normals)
+            motion = -(covariance @ weighted @ offsets[..., None])[..., 0]
+            turns = Rotation.from_rotvec(motion[:, :3]).as_matrix()
+            poses = rigid(turns, motion[:, 3:]) @ poses
+        gap, _, rows = _gaps(scan, front, poses, every)
+        reach = max(SETTLED[-1][1][-1] * surface.size, FITS * scan.noise)
+        off = np.minimum(np.abs(gap) / reach, 1) ** 2 + BACK * front.backs[rows]
+        best = off.mean(axis=1).argmin()
+        poses, covariance = poses[[best]], covariance[[best]]
+    return poses[0], covariance[0], _gaps(scan, front, poses)[0][0]
+
+
+def _gaps(
+    scan: Scan, front: Front, poses: np.ndarray, every: int = 1
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """How far one measured point in so many lies before the surface that faces the
+    sensor in each pose, negative behind it; where it lies, and the row nearest."""
+    points = scan.raw.points[::every] - scan.middle
+    laid = points @ poses[:, :3, :3].swapaxes(1, 2) + poses[:, None, :3, 3]
+    near, squares = front.tree.batch_knn_search(laid.reshape(-1, 3), NEIGHBORS)
+    offset = laid.reshape(-1, 1, 3) - front.points[near]
+    gap = np.einsum("ski,ski->sk", offset, front.normals[near])
+    beside = squares - gap**2 > (FLAT * front.spacing) ** 2
+    gap = np.where(beside, np.copysign(np.sqrt(squares), gap), gap)
+    best = np.abs(gap).argmin(axis=1)[:, None]
+    gap, rows = (np.take_along_axis(of, best, 1) for of in (gap, near))
+    return gap.reshape(laid.shape[:2]), laid, rows.reshape(laid.shape[:2])
 
 
 def rigid(
@@ -134,7 +196,7 @@ def by_headings(
 
 
 def _scores(
-    scan: Scan, surface: Surface, poses: np.ndarray, count: int, strict: float = 1.0
+    scan: Scan, surface: Surface, poses: np.ndarray, count: int
 ) -> Float[np.ndarray, " H"]:
     """How well so many points lie on the surface in each pose: 1 if all do, and 0 for
     those out of reach. In single precision."""
@@ -145,7 +207,7 @@ def _scores(
     laid = points @ turned + moved[:, 3:, :3]
     near = surface.index(laid)
     offset = laid - surface.points[near]
-    reach = strict * max(REACH * surface.size, FITTING * scan.noise)
+    reach = max(REACH * surface.size, FITS * scan.noise)
     apart = np.einsum("hsi,hsi->hs", offset, offset) / np.float32(reach**2)
     normals = scan.normals[rows].astype(np.float32) @ turned
     facing = np.einsum("hsi,hsi->hs", normals, surface.normals[near])

@@ -2,7 +2,6 @@
 
 import dataclasses
 import functools
-from typing import Any
 
 import numpy as np
 from jaxtyping import Float, Float64, Int
@@ -10,7 +9,6 @@ from scipy.spatial import KDTree
 
 from prism_jax.geometry.cloud import IndexedCloud
 from prism_jax.geometry.visibility import Visibility
-from prism_jax.io.errors import require
 from prism_jax.preprocessing.segmentation.clusters import thin
 from prism_jax.registration.surface import spread, widths_of
 
@@ -18,7 +16,6 @@ CELLS = 40  # of a scan along its longest side, whose means make its normals
 COARSE_CELLS = 14  # likewise, for neighbours that a model misses alike
 NEIGHBORS = 12
 RAW = 2500  # measured points that are compared with a model
-FEW = 400  # of them refine poses
 SEARCHED = 200  # of the means, that poses are looked for with
 NUM_PAIRS = 4000
 FLYING = 0.01  # share of points that may fly off at each end
@@ -35,28 +32,14 @@ class Scan:
     visibility: Visibility | None = None  # what it knows, if it is known where it stood
 
     @functools.cached_property
-    def raw(self) -> Float64[np.ndarray, "M 3"]:
+    def raw(self) -> IndexedCloud:
         """At most `RAW` points as they were measured, drawn at random."""
-        order = np.random.default_rng(0).permutation(len(self.points))
-        return self.points[np.sort(order[:RAW])]
-
-    @functools.cached_property
-    def cloud(self) -> Any:
-        """Some of the `raw` points about the middle, as small_gicp has them."""
-        small_gicp = require("small_gicp", "cad")
-        return small_gicp.PointCloud(
-            self.raw[:: 1 + len(self.raw) // FEW] - self.middle
-        )
-
-    @functools.cached_property
-    def spacing(self) -> float:
-        """Usual distance of the `raw` points."""
-        return float(np.median(KDTree(self.raw).query(self.raw, k=2)[0][:, 1]))
+        return IndexedCloud.of_enough(self.points, RAW)
 
     @functools.cached_property
     def cells(self) -> Int[np.ndarray, " M"]:
         """Which of the `raw` points are neighbours: those of one number."""
-        return thin(self.raw, COARSE_CELLS)[1]
+        return thin(self.raw.points, COARSE_CELLS)[1]
 
     @functools.cached_property
     def means(self) -> Float64[np.ndarray, "M 3"]:
@@ -110,8 +93,8 @@ class Scan:
         have it too."""
         cloud = IndexedCloud(np.unique(self.points, axis=0))
         count = min(NEIGHBORS, len(cloud))
-        near = cloud.points[np.asarray(cloud.tree.query(self.raw, k=count)[1])]
-        rays = self.raw - self.eye
+        near = cloud.points[np.asarray(cloud.tree.query(self.raw.points, k=count)[1])]
+        rays = self.raw.points - self.eye
         rays /= np.linalg.norm(rays, axis=1, keepdims=True)
         offsets = near - near.mean(axis=1, keepdims=True)
         depth = np.einsum("nki,ni->nk", offsets, rays)

@@ -2,24 +2,34 @@
 
 import dataclasses
 import functools
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from jaxtyping import Bool, Float, Float32, Float64, Int, UInt16
 from scipy.spatial import KDTree
 
+from prism_jax.geometry.cloud import sphere
 from prism_jax.io.errors import require
 
 DRAWN, KEPT = 150_000, 30_000  # points of all surface, and of what is seen from outside
-FEW = 10_000  # the first of them, for all but the distances of measured points
+FEW, FEWER = 10_000, 5000  # the first of them, for all but exact distances
 CELLS = 48  # of a grid along the longest side
 BESIDE = 0.15  # in longest sides: so much farther does the grid reach
 NUM_PAIRED = 300  # points that make pairs
 STEPS, ANGLES = 20, 9  # of a pair's length in longest sides, and of its angles in 180
 FACING = 0.1  # cosine under which a direction does not say what is seen of a surface
-BACK = 0.1  # of the directions that see a point: so many from behind make a sheet
 DIRECTIONS = 64
 NO_CODE = 2**16 - 1  # of pairs longer than any of the model's
+
+
+class Front(NamedTuple):
+    """Points of a surface that face an eye."""
+
+    points: Float32[np.ndarray, "F 3"]
+    normals: Float32[np.ndarray, "F 3"]  # toward it
+    backs: Bool[np.ndarray, " F"]  # of sheets, which it sees from their other side
+    tree: Any  # as small_gicp has it
+    spacing: float
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
@@ -40,28 +50,30 @@ class Surface:
     widths: Float64[np.ndarray, " D"]  # in many directions, in rising order
     area: Float64[np.ndarray, ""]  # of what is seen
 
-    @functools.cached_property
+    @property
     def size(self) -> float:
         """The longest side of its box."""
-        return float(np.ptp(self.points, axis=0).max())
+        return float(self.cell * CELLS / (1 + 2 * BESIDE))
 
-    def spacing(self, count: int) -> float:
-        """Usual distance of so many points of it."""
-        return float(np.sqrt(self.area / count))
-
-    @functools.cached_property
-    def tree(self) -> Any:
-        """Of all points, as small_gicp has it."""
+    def front(self, eye: Float[np.ndarray, "3"], count: int = KEPT) -> Front:
+        """What of so many points faces an eye: all of them, if next to none does."""
         small_gicp = require("small_gicp", "cad")
-        return small_gicp.KdTree(small_gicp.PointCloud(self.points.astype(np.float64)))
+        points, normals = self.points[:count], self.normals[:count]
+        toward = np.einsum("ij,ij->i", eye - points, normals) > 0
+        rows = toward | self.two_sided[:count]
+        rows = rows if rows.sum() > 100 else np.ones(len(rows), bool)
+        normals = np.where(toward[:, None], normals, -normals)[rows]
+        spacing, points = float(np.sqrt(self.area / len(points))), points[rows]
+        tree = small_gicp.KdTree(small_gicp.PointCloud(points.astype(np.float64)))
+        return Front(points, normals, ~toward[rows], tree, spacing)
 
     @functools.cached_property
     def cloud(self) -> tuple[Any, Any]:
         """Few points with normals, and their tree, as small_gicp has them."""
         small_gicp = require("small_gicp", "cad")
-        cloud = small_gicp.PointCloud(self.points[:FEW].astype(np.float64))
+        cloud = small_gicp.PointCloud(self.points[:FEWER].astype(np.float64))
         tree = small_gicp.KdTree(cloud)
-        small_gicp.estimate_normals_covariances(cloud, tree)
+        small_gicp.estimate_normals_covariances(cloud, tree, num_threads=2)
         return cloud, tree
 
     def index(self, points: Float[np.ndarray, "*shape 3"]) -> Int[np.ndarray, "*shape"]:
@@ -94,7 +106,7 @@ def surface_of(
     seen = seen[:KEPT]
     front, back, points = front[seen], back[seen], points[seen]
     normals = np.where((front >= back)[:, None], normals[seen], -normals[seen])
-    two_sided = np.minimum(front, back) > BACK * np.maximum(front, back)
+    two_sided = np.minimum(front, back) > 0
     codes, pairs = _pairs(points[:FEW], normals[:FEW])
     extents = np.ptp(points, axis=0)
     beside = BESIDE * extents.max()
@@ -114,14 +126,6 @@ def widths_of(points: Float[np.ndarray, "N 3"], share: float = 0.0) -> np.ndarra
     along = np.sort(points @ sphere(DIRECTIONS).T, axis=0)
     rank = int(share * len(points))
     return np.sort(along[len(points) - 1 - rank] - along[rank])
-
-
-def sphere(count: int) -> Float64[np.ndarray, "count 3"]:
-    """Unit vectors spread over the sphere: a Fibonacci lattice."""
-    index = np.arange(count) + 0.5
-    z, azimuth = 1 - 2 * index / count, np.pi * (1 + np.sqrt(5)) * index
-    ring = np.sqrt(1 - z**2)
-    return np.stack([ring * np.cos(azimuth), ring * np.sin(azimuth), z], axis=1)
 
 
 def pair_codes(
@@ -157,13 +161,9 @@ def _pairs(points: np.ndarray, normals: np.ndarray) -> tuple[np.ndarray, np.ndar
 
 def spread(points: Float[np.ndarray, "N 3"], count: int) -> Int[np.ndarray, " count"]:
     """Rows of so many points, or all, each the farthest from those before it."""
-    chosen = np.zeros(min(count, len(points)), int)
-    away = np.full(len(points), np.inf)
-    for number in range(1, len(chosen)):
-        offset = points - points[chosen[number - 1]]
-        away = np.minimum(away, np.einsum("ij,ij->i", offset, offset))
-        chosen[number] = away.argmax()
-    return chosen
+    fpsample, count = require("fpsample", "cad"), min(count, len(points))
+    rows = fpsample.fps_sampling(points.astype(np.float32), count, start_idx=0)
+    return rows.astype(int)
 
 
 def _seen(

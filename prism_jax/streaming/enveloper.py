@@ -172,22 +172,23 @@ class FrameEnveloper(FrameScanner):
             shown = check_reference(view, self.reference, self.carving)
         about = scan.camera, self.method, scan.up, scan.robot, scan.others
         seen = see(self.completer, scan.points, *about)
+        known = np.concatenate([seen.robot, seen.part])
         completed = time.perf_counter()
         if self.bounds is not None:
             box = self.bounds.lower, self.bounds.upper
         else:
-            held = np.concatenate([scan.points, seen.predicted, seen.robot])
+            held = np.concatenate([scan.points, seen.predicted, known])
             reach = self.margin + AROUND * self.method.voxel
             box = held.min(0) - reach, held.max(0) + reach
         grid = Grid.over(*box, self.method.voxel)
         free = carve(grid, view, self.carving)
         check_conflicts(grid, free, scan.everything)
-        state = label(grid, free, seen.measured, seen.predicted, seen.robot)
+        state = label(grid, free, seen.measured, seen.predicted, known)
         envelope = Envelope(grid, state, seen.surfaces(), self.margin)
         asked = self.asked
         query = None if asked is None else (asked, envelope.query(asked))
         envelope.taken  # noqa: B018  (kept, and part of the time that this takes)
         done = time.perf_counter()
         seconds = {"complete": completed - start, "envelope": done - completed}
-        known = self.follow(seen.known)
-        return MadeEnvelope(scan, seen, envelope, query, shown, known, seconds)
+        told = self.follow(seen.known)
+        return MadeEnvelope(scan, seen, envelope, query, shown, told, seconds)

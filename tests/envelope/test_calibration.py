@@ -38,6 +38,19 @@ def test_a_score_is_the_directed_hausdorff_distance():
         cell_score(np.zeros((0, 3)), halves)
 
 
+def test_a_known_part_holds_no_more_than_its_own_margin_does():
+    """Inflated by the score, a part by no more than its margin, surfaces hold all."""
+    truth, cloud, part = RNG.random((3, 60, 3))
+    for own in 0.0, 0.05, 0.2, 5.0:
+        surfaces = Surfaces({"measured": cloud, "part": part}, own)
+        score = cell_score(truth, surfaces)
+        nearer = directed_hausdorff(truth, np.concatenate([cloud, part]))[0]
+        assert nearer <= score <= directed_hausdorff(truth, cloud)[0]
+        assert surfaces.distance(truth, score)[0].max() == pytest.approx(0, abs=1e-12)
+        assert surfaces.distance(truth, 0.99 * score)[0].max() > 0
+    assert score == pytest.approx(nearer)
+
+
 @pytest.mark.parametrize(
     ("alpha", "needed"), [(0.1, 9), (0.05, 19), (0.01, 99), (0.2, 4), (0.5, 1)]
 )

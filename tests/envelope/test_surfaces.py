@@ -1,11 +1,13 @@
+import dataclasses
+from types import SimpleNamespace
+
 import numpy as np
 import pytest
 
 from experiments.simulation.sensors import l515_camera
-from prism_jax.completion.assembly import CompletedScan
-from prism_jax.envelope.surfaces import Method, see, sensor_name
+from prism_jax.envelope.distance import KINDS
+from prism_jax.envelope.surfaces import PART_MARGIN, Method, see, sensor_name
 from prism_jax.io.errors import InputError
-from prism_jax.io.ply import COMPLETED, KNOWN, OBSERVED
 from tests.fake_completer import FakeCompleter
 
 POINTS = np.random.default_rng(0).uniform(1, 2, (300, 3))
@@ -31,12 +33,25 @@ def test_a_known_robot_is_cut_out_and_put_back():
     assert 0 < len(seen.predicted) <= -(-(~own).sum() // 2)
 
 
-def test_hidden_surfaces_of_a_known_model_count_as_a_robots_do(monkeypatch):
-    label = np.repeat([OBSERVED, COMPLETED, KNOWN], [300, 50, 100])
-    monkeypatch.setattr(CompletedScan, "label", label)
-    seen = see(FakeCompleter(), POINTS, None, Method(known="parts"))
-    assert (len(seen.measured), len(seen.predicted), len(seen.robot)) == (300, 50, 100)
-    assert sum(map(len, seen.surfaces().points.values())) == 450
+def test_a_known_part_has_a_margin_of_its_own(monkeypatch):
+    part = POINTS[:100] + 5.0
+    surface = SimpleNamespace(size=2.0)
+    found = SimpleNamespace(
+        model=SimpleNamespace(surface=surface), placed=lambda: (part, None)
+    )
+    complete = FakeCompleter.complete
+
+    def known(*given, **asked):
+        return dataclasses.replace(complete(*given, **asked), known=found)
+
+    monkeypatch.setattr(FakeCompleter, "complete", known)
+    surfaces = see(FakeCompleter(), POINTS, None, Method(known="parts")).surfaces()
+    np.testing.assert_array_equal(surfaces.points["part"], part)
+    beside = part[:1] + [0.0, 0.0, 20.0]
+    away, kind = surfaces.distance(beside, 1.0)
+    reach = np.linalg.norm(beside - part, axis=1).min()
+    assert away[0] == pytest.approx(reach - 2.0 * PART_MARGIN)
+    assert KINDS[kind[0]] == "part"
 
 
 class Refusing(FakeCompleter):

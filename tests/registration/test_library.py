@@ -111,8 +111,9 @@ def test_poses_near_the_true_one_become_it(parts):
     true = rigid(back, back @ (seen.middle - pose[:3, 3]) - surface.middle)
     rng = np.random.default_rng(0)
     turns = Rotation.from_rotvec(rng.normal(0, 0.03, (6, 3))).as_matrix()
-    refined = refine(seen, surface, rigid(turns, rng.normal(0, 0.008, (6, 3))) @ true)
-    assert len(refined) == 1
+    poses = rigid(turns, rng.normal(0, 0.008, (6, 3))) @ true
+    refined, scores = refine(seen, surface, poses)
+    assert len(refined) == 1 and scores[0] > 0.95
     np.testing.assert_allclose(refined[0], true, atol=0.005)
     found = evidence.match(seen, surface, refined[0])
     np.testing.assert_allclose(found.pose, pose, atol=0.002)
