@@ -133,7 +133,7 @@ def _looked_for(
     known = np.where(np.asarray(scan.visibility.state) == UNKNOWN, UNKNOWN, BACKGROUND)
     beyond = scan.visibility._replace(state=known.astype(np.uint8))
     focal = scan.visibility.camera.intrinsics[0, 0] / away.mean()
-    about = 1 + int(scan.raw.spacing * focal)
+    about = 1 + int(2 * scan.raw.spacing * focal)
     denied = in_free_space(points, beyond, reach, about) & ~measured
     unknown = 0.5 * (state == UNKNOWN).sum()
     counted = max(measured.sum() + denied.sum() + unknown, 1)

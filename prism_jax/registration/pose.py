@@ -19,10 +19,9 @@ FITS = 3.0  # in the sensor's noise: nearer points lie on the model
 AGREE = 0.4  # least cosine between the normals of what lies together
 REFINING, RANKED = 400, 10  # points that refine poses; one in so many ranks them
 SETTLED = (10, 4 * (0.03,) + 2 * (0.02,)), (3, 3 * (0.01,))
-"""One measured point in so many settles a pose by planes that are so near, in longest
-sides, step by step; of the first steps' starts so far aside the best is taken."""
-ASIDE = 0.015
-BACK = 0.02  # as bad as missing a point: laying it on the back of a sheet
+ASIDE, AHEAD, BACK = 0.015, 0.01, 0.02
+"""One measured point in so many settles poses by planes so near, in longest sides. Of
+starts so far aside the best is kept; in missed points, they and backs cost so much."""
 LOOSE = 0.01  # radians, and longest sides
 NEIGHBORS = 8  # points of the surface, of which one explains a measured point
 FLAT = 1.8  # in spacings of the surface: so far its points stand for their planes
@@ -49,13 +48,12 @@ def refine(
     scan: Scan, surface: Surface, poses: Float64[np.ndarray, "H 4 4"]
 ) -> tuple[Float64[np.ndarray, "R 4 4"], Float64[np.ndarray, " R"]]:
     """Each moved to where the points lie best on planes of the surface near them; those
-    that come together once, best first, with how well the points lie on it."""
+    that come together once, best first, with how well the points lie on it: by one
+    measure for all models, or large ones would come nearer."""
     small_gicp = require("small_gicp", "cad")
-    cloud, tree = surface.cloud
     own = scan.raw.points[:: 1 + len(scan.raw) // REFINING] - scan.middle
-    pair = cloud, small_gicp.PointCloud(own), tree
+    pair = surface.cloud[0], small_gicp.PointCloud(own), surface.cloud[1]
     still = {"rotation_epsilon": STILL, "translation_epsilon": STILL * surface.size}
-    # The same for all models, or larger ones would come nearer.
     common = max(NEAR[-1] * scan.size, FITS * scan.noise)
     refined, scores = np.copy(poses), np.zeros(len(poses))
     for row in range(len(poses)):
@@ -98,6 +96,7 @@ def settled(
         gap, _, rows = _gaps(scan, front, poses, every)
         reach = max(SETTLED[-1][1][-1] * surface.size, FITS * scan.noise)
         off = np.minimum(np.abs(gap) / reach, 1) ** 2 + BACK * front.backs[rows]
+        off[1:] += AHEAD
         best = off.mean(axis=1).argmin()
         poses, covariance = poses[[best]], covariance[[best]]
     return poses[0], covariance[0], _gaps(scan, front, poses)[0][0]

@@ -19,6 +19,7 @@ NUM_PAIRED = 300  # points that make pairs
 STEPS, ANGLES = 20, 9  # of a pair's length in longest sides, and of its angles in 180
 FACING = 0.1  # cosine under which a direction does not say what is seen of a surface
 DIRECTIONS = 64
+BACK = 0.05  # of the directions that see a point: so many from behind make a sheet
 NO_CODE = 2**16 - 1  # of pairs longer than any of the model's
 
 
@@ -106,7 +107,7 @@ def surface_of(
     seen = seen[:KEPT]
     front, back, points = front[seen], back[seen], points[seen]
     normals = np.where((front >= back)[:, None], normals[seen], -normals[seen])
-    two_sided = np.minimum(front, back) > 0
+    two_sided = np.minimum(front, back) > BACK * np.maximum(front, back)
     codes, pairs = _pairs(points[:FEW], normals[:FEW])
     extents = np.ptp(points, axis=0)
     beside = BESIDE * extents.max()

@@ -9,10 +9,12 @@ import trimesh
 from prism_jax.completion import filtering
 from prism_jax.completion.assembly import in_one_scene
 from prism_jax.geometry.camera import Camera
+from prism_jax.io import Scan
 from prism_jax.io.errors import InputError
 from prism_jax.preprocessing.segmentation.scene import SegmentedScene
 from prism_jax.registration.library import Library, Model
 from prism_jax.registration.surface import surface_of
+from prism_jax.reporting import render_scene_report, summary
 
 EYE = np.array([0.0, -8.0, 6.0])
 FAR = np.array([4e5, 5e6, 100.0])
@@ -142,3 +144,9 @@ def test_two_known_boxes_and_a_strange_thing(completer, scene):
         np.testing.assert_allclose(np.abs(added - center).max(axis=1), 0.5, atol=0.02)
         assert one.verdict.trust == "fair" and "unnoticed" in one.verdict.reasons[0]
         assert one.sigma[~one.observed].min() > 0
+    asked = {"weights": "small", "up": "z", "bounds": None, "density": 1.0}
+    told = summary.summarize_scene(
+        found, Scan(points, None, 0, 0), "scan", **asked, adapt=False
+    )
+    page = render_scene_report(found, summary.plain(told | {"seconds": {"run": 1.0}}))
+    assert page.count("known: box") == 2
