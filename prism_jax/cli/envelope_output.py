@@ -69,6 +69,7 @@ class Output:
         grid, query = made.envelope.grid, made.query
         surfaces = made.envelope.surfaces.points
         frame = {"frame": made.number, "timestamp": made.timestamp}
+        own = made.envelope.surfaces.part_margin if len(surfaces["part"]) else None
         return plain(
             {
                 **self.about,
@@ -85,6 +86,7 @@ class Output:
                 "query": None if query is None else distances_summary(query[1]),
                 "reference": made.shown,
                 "known": made.known,
+                "part_margin": own,
                 "seconds": made.seconds,
             }
         )

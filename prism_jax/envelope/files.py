@@ -63,8 +63,9 @@ def npz_bytes(
 
     `state` of every voxel with `states`, their names in order of the numbers; `lower`,
     the grid's corner, and `voxel`, the side of one; `not_free` and `surface`, both
-    distances of every voxel's middle (float32); the `margin`; points of every kind of
-    surface; and of a query its points, their distances, and whose surface is near.
+    distances of every voxel's middle (float32); the `margin`, and the `part_margin` that
+    a known part's is at most; points of every kind of surface; and of a query its
+    points, their distances, and whose surface is near.
     """
     grid = envelope.grid
     arrays: dict[str, Any] = {
@@ -76,6 +77,7 @@ def npz_bytes(
         "not_free": envelope.not_free_field.astype(np.float32),
         "surface": envelope.surface_field.astype(np.float32),
         "margin": np.float64(envelope.margin),
+        "part_margin": np.float64(envelope.surfaces.part_margin),
         "envelope": envelope.taken,
         **envelope.surfaces.points,
     }

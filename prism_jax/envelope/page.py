@@ -55,8 +55,11 @@ def envelope_page(
     bounds = np.stack([envelope.grid.lower, envelope.grid.upper])
     figure = clouds_figure(panels, toward, up, bounds)
     volumes, num_cells = summary["volumes"].items(), summary["calibration"]["n"]
+    margin = f"q = {number(summary['q'])} m"
+    if summary["part_margin"] is not None:
+        margin += f", the known part's by {number(summary['part_margin'])} m at most"
     promise = (
-        f"Surfaces are inflated by q = {number(summary['q'])} m, calibrated on "
+        f"Surfaces are inflated by {margin}, calibrated on "
         f"{num_cells} cells: of another cell of the same population, the inflated "
         "surfaces hold all of what the recordings call the true surface with a "
         f"probability of at least {100 * (1 - summary['alpha']):.3g} %. Other cells "
@@ -66,7 +69,7 @@ def envelope_page(
         "envelope.html",
         summary=summary,
         promise=promise,
-        toggles=[(name, css[name]) for name in STATES if name in names],
+        toggles=[pair for pair in css.items() if pair[0] in names],
         clouds=clouds_html(figure),
         max_shown=f"{MAX_SHOWN_POINTS:,}",
         volumes=[(k.replace("_", " "), f"{number(v)} m3") for k, v in volumes],

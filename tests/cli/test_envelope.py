@@ -20,6 +20,9 @@ from prism_jax.envelope.files import NAMES
 from prism_jax.envelope.robot import of_robot, robot_surface
 from prism_jax.io.depth import read_camera
 from prism_jax.io.ply import ply_bytes, read_ply
+from prism_jax.registration.evidence import Evidence, Match
+from prism_jax.registration.library import Found, Model
+from prism_jax.registration.surface import FEW, surface_of
 from prism_jax.robots.urdf import Linkage
 from tests import launching
 from tests.experiments.simulation.roboarm.conftest import urdf
@@ -139,6 +142,26 @@ def test_all_files_are_written_and_agree(asked, tmp_path, capsys):
     assert "Not safety-rated" in page and f"q = {told['q']:.3g}" in page
     assert told["query"]["nearest_not_known_to_be_free"] == 0
     assert told["query"]["in_free_space"] == (arrays["query_not_free"] > 0).sum()
+
+
+def test_a_known_part_is_told_with_its_own_margin(asked, tmp_path, monkeypatch):
+    box = trimesh.creation.box((0.4, 0.2, 0.2))
+    own = np.asarray(box.vertices), np.asarray(box.faces)
+    model = Model("box", *own, surface_of(*own))
+    match = Match(np.eye(4), np.zeros((6, 6)), 0.001, Evidence(*7 * [1.0]))
+
+    class Knowing(FakeCompleter):
+        def complete(self, *given, **asked):
+            found = Found(model, match, (), {})
+            return dataclasses.replace(super().complete(*given, **asked), known=found)
+
+    monkeypatch.setattr(envelope, "load_completer", lambda weights: Knowing())
+    assert launching.run(envelope, *asked) == 0
+    told, arrays = told_of(tmp_path / "out"), arrays_of(tmp_path / "out")
+    assert told["known"]["model"] == "box" and len(arrays["part"]) == FEW
+    assert told["part_margin"] == arrays["part_margin"] == pytest.approx(0.4 * 0.03)
+    page = (tmp_path / "out" / "envelope.html").read_text()
+    assert "by 0.012 m at most" in page and 'data-cloud="part"' in page
 
 
 @pytest.mark.parametrize(
