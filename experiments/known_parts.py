@@ -39,6 +39,7 @@ from prism_jax.cli.launch import launch
 from prism_jax.completion.assembly import with_model
 from prism_jax.completion.completer import Completer
 from prism_jax.completion.options import CompletionOptions
+from prism_jax.envelope.surfaces import PART_MARGIN
 from prism_jax.evaluation.tables import table_lines
 from prism_jax.geometry.visibility import NEARER
 from prism_jax.io.depth import points_from_depth
@@ -220,7 +221,8 @@ def row_of(
 def summary(rows: list[dict[str, Any]]) -> str:
     """The tables: views, those that measured enough, of these the right ones, of all
     those in a wrong pose or taken for another part, the latter also if theirs is not
-    there, and CD-L2 of the right ones."""
+    there, and CD-L2 of the right ones. Then seconds, and how far the true surface lies
+    from that of what was found."""
     head = ["parts", "views", "a third measured", "right", "wrong", "false"]
     head += ["network", "known"]
     cells = []
@@ -241,7 +243,13 @@ def summary(rows: list[dict[str, Any]]) -> str:
         for n, (a, b) in zip(SIZES, seconds, strict=True)
     ]
     lines = table_lines(head, cells), table_lines(["models", "seconds", "CPU"], sizes)
-    return "\n".join([*lines[0], "", *lines[1]])
+    margins = np.array([r["margin"] for r in rows if r["margin"] is not None])
+    near = ", ".join(
+        f"{np.quantile(margins, q):.3f} ({q:.0%})" for q in (0.5, 0.9, 0.95)
+    )
+    told = f"true surface from what was found, in longest sides: {near}, "
+    told += f"{(margins <= PART_MARGIN).mean():.1%} within {PART_MARGIN}"
+    return "\n".join([*lines[0], "", *lines[1], "", told])
 
 
 def define_flags() -> None:

@@ -63,8 +63,8 @@ def npz_bytes(
 
     `state` of every voxel with `states`, their names in order of the numbers; `lower`,
     the grid's corner, and `voxel`, the side of one; `not_free` and `surface`, both
-    distances of every voxel's middle (float32); the `margin`, and the `part_margin` that
-    a known part's is at most; points of every kind of surface; and of a query its
+    distances of every voxel's middle (float32); the `margin`, and the most that a known
+    part's is, `part_margin`; points of every kind of surface; and of a query its
     points, their distances, and whose surface is near.
     """
     grid = envelope.grid

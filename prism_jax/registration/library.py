@@ -30,7 +30,7 @@ ROBOTS, METRIC = (".urdf", ".xacro"), (".urdf", ".xacro", ".glb")
 VERIFIED, POSES = 3, 3  # models that are looked at closely, and poses of each
 EQUAL = 0.03  # of the score: two models nearer than this explain an object equally
 ALIKE = 0.02  # in longest sides: two surfaces nearer than this are the same
-FAR = 100.0  # times as large or as small as an object: of another unit
+FAR = 8.0  # times as large or as small as an object: perhaps of another unit
 
 
 @dataclasses.dataclass(frozen=True)
@@ -191,7 +191,7 @@ def _misfit(scan: Scan, surface: Surface) -> str | None:
     if not 1 / FAR < times < FAR:
         word = "large" if times > 1 else "small"
         times = 10 ** round(abs(np.log10(times)))
-        return f"about {times:,} times too {word}: check the units"
+        return f"about {times:,} times too {word}: if all are, check the units"
     slack = 0.05 * surface.size + 6.0 * scan.noise
     middle = len(scan.widths) // 2
     own, its = scan.widths[[middle, -1]], surface.widths[[middle, -1]]

@@ -159,9 +159,9 @@ def test_a_known_part_is_told_with_its_own_margin(asked, tmp_path, monkeypatch):
     assert launching.run(envelope, *asked) == 0
     told, arrays = told_of(tmp_path / "out"), arrays_of(tmp_path / "out")
     assert told["known"]["model"] == "box" and len(arrays["part"]) == FEW
-    assert told["part_margin"] == arrays["part_margin"] == pytest.approx(0.4 * 0.03)
+    assert told["part_margin"] == arrays["part_margin"] == pytest.approx(0.4 * 0.06)
     page = (tmp_path / "out" / "envelope.html").read_text()
-    assert "by 0.012 m at most" in page and 'data-cloud="part"' in page
+    assert "by 0.024 m at most" in page and 'data-cloud="part"' in page
 
 
 @pytest.mark.parametrize(

@@ -203,7 +203,10 @@ def test_a_part_is_followed_without_a_search_until_it_jumps(parts, monkeypatch):
 def test_another_unit_is_named(parts):
     points, _ = scan(CRATE)
     found = Library([parts["crate"]]).find(points * 1000, EYE * 1000)
-    assert "about 1,000 times too small: check the units" in found.refused["crate"]
+    assert (
+        "about 1,000 times too small: if all are, check the units"
+        in found.refused["crate"]
+    )
 
 
 def test_a_folder_is_read_once(tmp_path, monkeypatch):
