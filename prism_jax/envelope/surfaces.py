@@ -99,13 +99,11 @@ def see(
     points = points[~of_robot(points, robot, method.robot_margin)]
     others = others[~of_robot(others, robot, method.robot_margin)]
     predicted, part, known, fault = np.zeros((0, 3)), np.zeros((0, 3)), None, ""
-    # A known part is told by what the sensor saw past it.
-    around = others if method.known is not None and len(others) else None
     try:
         check_cloud(points, "the scan")
         named = "adapt", "density", "background"
         asked = {name: getattr(method, name) for name in named}
-        done = completer.complete(points, camera, up=up, around=around, **asked)
+        done = completer.complete(points, camera, up=up, **asked)
     except InputError as error:
         fault = str(error)
     else:

@@ -24,7 +24,7 @@ from prism_jax.registration.scan import Scan
 from prism_jax.registration.surface import Surface, surface_of
 from prism_jax.robots.urdf import MESH_SUFFIXES, Linkage, read_mesh
 
-VERSION = 9  # of what is kept in the cache
+VERSION = 11  # of what is kept in the cache
 UNITS = {"m": 1.0, "cm": 0.01, "mm": 0.001, "in": 0.0254}
 ROBOTS, METRIC = (".urdf", ".xacro"), (".urdf", ".xacro", ".glb")
 VERIFIED, POSES = 3, 3  # models that are looked at closely, and poses of each

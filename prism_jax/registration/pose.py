@@ -10,7 +10,6 @@ from prism_jax.registration.surface import FEWER, Front, Surface, pair_codes
 
 HYPOTHESES, PER_PAIR = 3000, 12  # poses by pairs, and at most of one pair of the scan
 HEADINGS = 36
-TOWARD = 0.3  # cosine over which a sensor sees a side of a box
 JUDGED, KEPT = (32, 200), 150  # points that judge poses in turn, and what they keep
 TRIED, REFINED = 3, 12  # poses of any model, and of those that are looked at closely
 REACH = 0.06  # of a model's point, in longest sides, in the search
@@ -19,9 +18,9 @@ FITS = 3.0  # in the sensor's noise: nearer points lie on the model
 AGREE = 0.4  # least cosine between the normals of what lies together
 REFINING, RANKED = 400, 10  # points that refine poses; one in so many ranks them
 SETTLED = (10, 4 * (0.03,) + 2 * (0.02,)), (3, 3 * (0.01,))
-ASIDE, AHEAD, BACK = 0.015, 0.01, 0.02
+ASIDE, AHEAD = 0.015, 0.01
 """One measured point in so many settles poses by planes so near, in longest sides. Of
-starts so far aside the best is kept; in missed points, they and backs cost so much."""
+starts so far aside one is kept that is so much better, in missed points."""
 LOOSE = 0.01  # radians, and longest sides
 NEIGHBORS = 8  # points of the surface, of which one explains a measured point
 FLAT = 1.8  # in spacings of the surface: so far its points stand for their planes
@@ -93,11 +92,11 @@ def settled(
             motion = -(covariance @ weighted @ offsets[..., None])[..., 0]
             turns = Rotation.from_rotvec(motion[:, :3]).as_matrix()
             poses = rigid(turns, motion[:, 3:]) @ poses
-        gap, _, rows = _gaps(scan, front, poses, every)
+        gap = _gaps(scan, front, poses, every)[0]
         reach = max(SETTLED[-1][1][-1] * surface.size, FITS * scan.noise)
-        off = np.minimum(np.abs(gap) / reach, 1) ** 2 + BACK * front.backs[rows]
+        off = (np.minimum(np.abs(gap) / reach, 1) ** 2).mean(axis=1)
         off[1:] += AHEAD
-        best = off.mean(axis=1).argmin()
+        best = off.argmin()
         poses, covariance = poses[[best]], covariance[[best]]
     return poses[0], covariance[0], _gaps(scan, front, poses)[0][0]
 
@@ -174,21 +173,15 @@ def by_headings(
     scan: Scan, surface: Surface, up: Float[np.ndarray, "3"]
 ) -> Float64[np.ndarray, "H 4 4"]:
     """Upright poses at evenly spaced headings, the box of the scan in the middle of the
-    model's or against either side; above or below against that which the sensor sees.
-    """
+    model's or against either side."""
     lying = Rotation.align_vectors([(0.0, 0.0, 1.0)], [up])[0].as_matrix()
     angles = 2 * np.pi * np.arange(HEADINGS)[:, None] / HEADINGS
-    view = (scan.eye - scan.middle) / np.linalg.norm(scan.eye - scan.middle)
     box = surface.points.min(axis=0), surface.points.max(axis=0)
     poses = []
     for turn in Rotation.from_euler("z", angles).as_matrix() @ lying:
         turned = (scan.means - scan.middle) @ turn.T
         low, high = box[0] - turned.min(axis=0), box[1] - turned.max(axis=0)
-        sides = []
-        for lower, upper, toward in zip(low, high, turn @ view, strict=True):
-            both = [lower, 0.5 * (lower + upper), upper]
-            seen = len(sides) == 2 and abs(toward) > TOWARD
-            sides.append([upper if toward > 0 else lower] if seen else both)
+        sides = np.stack([low, 0.5 * (low + high), high], axis=1)
         found = np.stack(np.meshgrid(*sides, indexing="ij"), axis=-1).reshape(-1, 3)
         poses.append(rigid(turn, found))
     return np.concatenate(poses)

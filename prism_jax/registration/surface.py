@@ -19,6 +19,7 @@ NUM_PAIRED = 300  # points that make pairs
 STEPS, ANGLES = 20, 9  # of a pair's length in longest sides, and of its angles in 180
 FACING = 0.1  # cosine under which a direction does not say what is seen of a surface
 DIRECTIONS = 64
+WALL, THINNEST = 24, 0.002  # points around one, and in longest sides
 BACK = 0.05  # of the directions that see a point: so many from behind make a sheet
 NO_CODE = 2**16 - 1  # of pairs longer than any of the model's
 
@@ -28,7 +29,6 @@ class Front(NamedTuple):
 
     points: Float32[np.ndarray, "F 3"]
     normals: Float32[np.ndarray, "F 3"]  # toward it
-    backs: Bool[np.ndarray, " F"]  # of sheets, which it sees from their other side
     tree: Any  # as small_gicp has it
     spacing: float
 
@@ -66,7 +66,7 @@ class Surface:
         normals = np.where(toward[:, None], normals, -normals)[rows]
         spacing, points = float(np.sqrt(self.area / len(points))), points[rows]
         tree = small_gicp.KdTree(small_gicp.PointCloud(points.astype(np.float64)))
-        return Front(points, normals, ~toward[rows], tree, spacing)
+        return Front(points, normals, tree, spacing)
 
     @functools.cached_property
     def cloud(self) -> tuple[Any, Any]:
@@ -97,7 +97,8 @@ def surface_of(
     if not mesh.area > 0:
         raise ValueError("it has no surface")
     points, chosen = trimesh.sample.sample_surface(mesh, DRAWN, seed=0)
-    middle, normals = mesh.bounds.mean(axis=0), mesh.face_normals[chosen]
+    middle, turn = mesh.bounds.mean(axis=0), -1 if mesh.volume < 0 else 1
+    normals = turn * mesh.face_normals[chosen]
     points = np.asarray(points) - middle
     front, back = _seen(points, normals, np.sqrt(mesh.area / DRAWN))
     seen = np.flatnonzero((front > 0) | (back > 0))
@@ -106,10 +107,15 @@ def surface_of(
     area = np.asarray(mesh.area * len(seen) / DRAWN)
     seen = seen[:KEPT]
     front, back, points = front[seen], back[seen], points[seen]
-    normals = np.where((front >= back)[:, None], normals[seen], -normals[seen])
-    two_sided = np.minimum(front, back) > BACK * np.maximum(front, back)
+    normals, extents = normals[seen], np.ptp(points, axis=0)
+    # Of a thin wall each side has some of the other behind it, and is seen through it.
+    near = KDTree(points).query(points, k=WALL)[1]
+    opposite = np.einsum("ni,nki->nk", normals, normals[near]) < -0.5
+    behind = np.einsum("ni,nki->nk", normals, points[near] - points[:, None])
+    wall = (opposite & (behind < -THINNEST * extents.max())).any(axis=1)
+    two_sided = ~wall & (np.minimum(front, back) > BACK * np.maximum(front, back))
+    normals = np.where((wall | (front >= back))[:, None], normals, -normals)
     codes, pairs = _pairs(points[:FEW], normals[:FEW])
-    extents = np.ptp(points, axis=0)
     beside = BESIDE * extents.max()
     cell = (extents.max() + 2 * beside) / CELLS
     corner = points.min(axis=0) - beside
