@@ -259,18 +259,16 @@ def _contents(
 
 
 def _tell_of_known(objects: Sequence[Any]) -> None:
-    """Says which objects are models, and which models cannot be any."""
+    """Says which objects are models, and why others are not the nearest one."""
     for number, found in enumerate(one.known for one in objects):
         if found.model is not None:
-            names = " or ".join([found.model.name, *found.equal])
-            _say(f"object {number} is {names}")
-        odd = {name: why for name, why in found.refused.items() if "check" in why}
-        for name, why in list(odd.items())[:1]:
-            more = f" or {len(odd) - 1} others" if len(odd) > 1 else ""
-            _say(f"object {number} is not {name}{more}: {why} (--known_unit)")
+            told = " or ".join([found.model.name, *found.equal])
+        else:
+            name, why = next(iter(found.refused.items()))
+            told = f"none of the models, nearest {name}: {why}"
+        _say(f"object {number} is {told}")
     if all(one.known.model is None and one.sensor != "given" for one in objects):
-        told = "set --eye or --camera if the sensor did not stand at 0,0,0"
-        _say(f"no object is one of the models, result.json says why; {told}")
+        _say("set --eye or --camera if the sensor did not stand at 0,0,0")
 
 
 def _check_not_empty(scene: Any, scan: io.Scan, view: Any, source: str) -> None:

@@ -20,8 +20,8 @@ BESIDE, APART = 0.04, 3.0
 TOLERANCE = 0.03  # in longest sides: so much nearer to the sensor is in front
 
 LIMITS = {
-    "fit": (0.9, np.inf, "it explains {:.0%} of the points"),
-    "denied": (0.0, 0.01, "the sensor saw through {:.0%} of its front"),
+    "fit": (0.9, np.inf, "it explains {:.1%} of the points"),
+    "denied": (0.0, 0.01, "the sensor saw through {:.1%} of its front"),
     "covered": (0.3, np.inf, "{:.0%} of its surface was measured"),
     "odd": (0.0, 0.015, "something else is at {:.1%} of its places"),
     "seen": (0.35, np.inf, "{:.0%} of its front was measured"),

@@ -49,7 +49,7 @@ class Found(NamedTuple):
     model: Model | None  # the one that it is
     match: Match | None  # its pose, and what speaks for it
     equal: tuple[str, ...]  # others that look the same and explain it as well
-    refused: dict[str, str]  # why it is none of the others, by their names
+    refused: dict[str, str]  # why it is none of the others, the nearest first
 
     def told(self) -> dict[str, Any]:
         """What `result.json` says: which model it is and in which pose, what speaks for
@@ -136,19 +136,19 @@ class Library:
             if not evidence.doubt(here.evidence):
                 return before._replace(match=here)
         misfits = {model.name: _misfit(scan, model.surface) for model in self.models}
-        refused = {name: reason for name, reason in misfits.items() if reason}
-        fitting = [model for model in self.models if model.name not in refused]
+        fitting = [model for model in self.models if not misfits[model.name]]
         placed = [(model, *search(scan, model.surface, up)) for model in fitting]
         placed.sort(key=lambda one: -one[2])
-        for model, _, _ in placed[VERIFIED:]:
-            refused[model.name] = "other models come nearer to the points"
-        sound = []
+        sound, refused = [], {}
         for model, poses, _ in placed[:VERIFIED]:
             match = _best(scan, model, poses)
             if reason := evidence.doubt(match.evidence):
                 refused[model.name] = reason
             else:
                 sound.append((model, match))
+        for model, _, _ in placed[VERIFIED:]:
+            refused[model.name] = "other models come nearer to the points"
+        refused |= {name: reason for name, reason in misfits.items() if reason}
         sound.sort(key=lambda pair: -pair[1].score)
         return _decided(sound, refused)
 
@@ -169,11 +169,9 @@ def _decided(sound: list[tuple[Model, Match]], refused: dict[str, str]) -> Found
             rivals.append(model.name)
     if not rivals:
         return Found(best, match, tuple(equal), refused)
-    undecided = [best.name, *equal, *rivals]
-    for name in undecided:
-        rest = ", ".join(other for other in undecided if other != name)
-        refused[name] = f"explains it as well as {rest}"
-    return Found(None, None, (), refused)
+    tied = [best.name, *equal, *rivals]
+    why = dict.fromkeys(tied, f"{' and '.join(tied)} explain it equally well")
+    return Found(None, None, (), {**why, **refused})
 
 
 def _alike(one: Model, match: Match, other: Model, its: Match) -> bool:
