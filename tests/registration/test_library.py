@@ -144,6 +144,18 @@ def test_a_thin_plate_is_laid_on_the_side_that_faces_the_sensor():
         np.testing.assert_allclose(found.pose[2, 3], 0, atol=2e-4)
 
 
+def test_of_a_thin_wall_the_right_side_is_measured():
+    """Both sides of a tube are seen, one through its mouth."""
+    tube = trimesh.creation.annulus(0.098, 0.1, 0.15)
+    known = Library([model("tube", tube)])
+    for seed in range(3):
+        points, pose = scan(tube, seed)
+        found = known.find(points, EYE)
+        assert found.match is not None
+        apart, axis = found.match.pose[:3, 3] - pose[:3, 3], pose[:3, 2]
+        assert np.linalg.norm(np.cross(apart, axis)) < 0.0003
+
+
 @pytest.mark.parametrize(("longer", "taken"), [(1.05, True), (1.1, False)])
 def test_a_longer_part_reaches_where_nothing_is(longer, taken):
     points, _ = scan(CRATE)
