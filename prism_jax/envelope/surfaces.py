@@ -24,7 +24,8 @@ Input = Literal["both", "cloud", "depth"]
 
 PART_MARGIN = 0.06
 """In its longest sides: so near to what was found lay all of the true surface of 19 of
-20 validation parts (docs/findings.md)."""
+20 validation parts (docs/findings.md). Calibrations hold for one value: with another
+`registration.library.VERSION` has to rise, which tells libraries apart."""
 
 
 @dataclasses.dataclass(frozen=True)
